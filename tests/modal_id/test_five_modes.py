@@ -91,7 +91,7 @@ def test_clean():
 
 
 def test_disturbed():
-    check_disturbed(range(4))
+    check_disturbed(range(2))
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.modal_decays import series_of
 from support.paths import REALDATA, REALDATA_ABSENT
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
@@ -23,7 +24,7 @@ def load(pattern):
 
 @cache
 def identified(pattern):
-    return identify(load(pattern), IdentifySettings(max_modes=3))
+    return identify(load(pattern), IdentifySettings(max_modes=3, sampler=QUICK))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,8 @@ def near(found, frequency_hz):
 def camera():
     values = np.load(FOLDER / "displacements_lk.npy")[:, :, 0].T
     return identify(
-        series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), IdentifySettings(sampler=QUICK)
+        series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"),
+        IdentifySettings(max_modes=4, sampler=QUICK),
     )
 
 

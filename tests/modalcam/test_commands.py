@@ -13,7 +13,7 @@ import pytest
 from support.decay_clip import EXPERIMENT, write_decay
 from support.paths import ROOT
 
-from modalcam import plugins
+from modalcam import commands, plugins
 from modalcam.commands import Options, _find, _inputs_key, report
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.pool import Progress
@@ -195,10 +195,18 @@ def test_only_missing_or_edited_files_are_written_again(folder, out):
     assert (out / "comparison.csv").stat().st_mtime_ns == unchanged
 
 
+@pytest.mark.slow
 def test_the_bytes_are_the_same_for_another_number_of_processes(folder, out, tmp_path):
     done, err = run(folder, tmp_path / "out", "--jobs", 1)
     assert done.returncode == 0, err
     assert contents(tmp_path / "out") == contents(out)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_the_bytes_are_the_same_without_worker_processes(folder, out, tmp_path, toy_damping):
+    """Two processes computed `out`; its log is written by the command line."""
+    commands.run(folder / "videos", Options(tmp_path / "out", plugins=(toy_damping,)), Progress())
+    assert contents(tmp_path / "out") | {"run.log": contents(out)["run.log"]} == contents(out)
     corrupt = {name: (out / "tracks" / f"{name}.csv").read_text().count("DECODE_CORRUPT") for name in "ab"}
     assert corrupt["a"] == 0 < corrupt["b"], "one of the recordings is damaged"
 

@@ -26,7 +26,7 @@ width_mm = 5.0
 thickness_mm = 0.5
 density_kg_m3 = 8000.0
 elastic_modulus_mpa = 210000.0
-elements = 12
+elements = 6
 point_masses = [{ position_mm = 440.0, mass_g = 0.4 }]
 [plan]
 modes = [1, 2]

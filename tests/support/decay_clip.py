@@ -20,25 +20,26 @@ width_mm = 5.0
 thickness_mm = 0.5
 density_kg_m3 = 8000.0
 elastic_modulus_mpa = 210000.0
-elements = 12
+elements = 6
 """
 
 
-def swing_px(time_s):
-    """Displacement of the dot: constant amplitude, then a decay from `ONSET_S` on."""
-    since = np.asarray(time_s) - ONSET_S
-    return 4.0 * np.exp(-np.maximum(0.0, since)) * np.cos(2 * np.pi * 10.2 * since)
+def swing_px(time_s, onset_s=ONSET_S, weaker_1_s=0.0):
+    """Displacement of the dot: amplitude that is constant or falls slowly, then a decay from `onset_s` on."""
+    since = np.asarray(time_s) - onset_s
+    size = 4.0 * np.exp(-np.maximum(0.0, since) - weaker_1_s * np.minimum(0.0, since))
+    return size * np.cos(2 * np.pi * 10.2 * since)
 
 
-def write_decay(folder, *, name="take", seed=1):
-    """Write a recording with noise of this seed, and experiment.toml."""
+def write_decay(folder, *, name="take", seed=1, frames=FRAMES, **drive):
+    """Write a recording with noise of this seed, and experiment.toml; `drive` as for `swing_px`."""
     (folder / "experiment.toml").write_text(EXPERIMENT.lstrip())
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     with av.open(str(folder / f"{name}.mkv"), "w") as container:
         stream = container.add_stream("ffv1", rate=30)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
-        for swing in swing_px(np.arange(FRAMES) / FPS):
+        for swing in swing_px(np.arange(frames) / FPS, **drive):
             distance = np.hypot(x - 32 - swing, y - 16)
             image = 200.0 - 170.0 * np.clip(6.5 - distance, 0.0, 1.0) + rng.normal(0.0, 1.5, x.shape)
             frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
@@ -57,6 +58,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
             expected_frequencies_hz=tuple(modes.frequency_hz),
             expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
             onset_s=film.onset_s + STOPPED_S,
+            sampler=QUICK,
         ),
     )
     assert found, getattr(found, "reason", "")

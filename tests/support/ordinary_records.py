@@ -20,7 +20,7 @@ def repeated_end(repeats, seed=1):
 def stopped_by_hand(seed=1):
     """4.265 Hz and 0.45 %, touched at 8 s: a twentieth of the motion remains."""
     rng = np.random.default_rng(seed)
-    t = np.arange(4000) / 200.0
+    t = np.arange(2000) / 100.0
     free = np.exp(-0.0045 * 2.0 * np.pi * 4.265 * np.minimum(t, 8.0)) * np.cos(2.0 * np.pi * 4.265 * t)
     left = np.where(t < 8.0, 1.0, 0.05 * np.exp(-np.clip(t - 8.0, 0.0, None) / 5.0))
     return t, free * left + 0.002 * rng.standard_normal(t.size)
@@ -53,14 +53,14 @@ def ruler(zeta=0.008, change=0.025, frequency_hz=38.4, bend=0.0, start=30000.0, 
     def law(a):
         return zeta + change * a / 30000.0, frequency_hz + bend * (a / 30000.0) ** 2
 
-    return of_amplitude(12250, 1.0 / 5000.0, law, start, phase)
+    return of_amplitude(6125, 1.0 / 2500.0, law, start, phase)
 
 
 def ruler_with_click(seed=1):
     """At rest, plucked at 0.55 s; a click of 700 Hz at 2 s."""
     rng = np.random.default_rng(seed)
-    t = np.arange(15000) / 5000.0
-    y = np.concatenate([np.zeros(2750), ruler()])
+    t = np.arange(7500) / 2500.0
+    y = np.concatenate([np.zeros(1375), ruler()])
     click = (t > 2.0) & (t < 2.1)
     since = t[click] - 2.0
     y[click] += 26000.0 * np.exp(-since / 0.008) * np.sign(np.sin(2.0 * np.pi * 700.0 * since))
@@ -84,13 +84,13 @@ def clamp(zeta=29e-4, change=23e-4, s=0.2, frequency_hz=9.372, shift=0.043, r=0.
     def law(a):
         return zeta + change * a * a / (a * a + s * s), frequency_hz + shift * a * a / (a * a + r * r)
 
-    return of_amplitude(9500, 1.0 / 500.0, law, start, phase)
+    return of_amplitude(3800, 1.0 / 200.0, law, start, phase)
 
 
 def slipping_clamp(seed=1):
     """The same with noise."""
     y = clamp()
-    return np.arange(y.size) / 500.0, y + 0.002 * np.random.default_rng(seed).standard_normal(y.size)
+    return np.arange(y.size) / 200.0, y + 0.002 * np.random.default_rng(seed).standard_normal(y.size)
 
 
 def steady_drive(seed=1):

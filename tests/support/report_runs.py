@@ -343,14 +343,14 @@ def compared(recordings):
 
 
 @cache
-def beam_result():
+def beam_result(elements=20):
     """The paper's beam, updated to the paper's frequencies."""
-    standard, frequency_hz = paper_beam(), np.array(MEASURED_FREQUENCY_HZ)
+    standard, frequency_hz = paper_beam(elements=elements), np.array(MEASURED_FREQUENCY_HZ)
     measured = MeasuredModes(np.arange(1, 6), frequency_hz, 2e-5 * frequency_hz)
     updated = update(standard, measured, UpdatingSettings(draws=50))
     return BeamResult(
         standard=standard,
-        standard_modes=beam_theory(),
+        standard_modes=beam_modes(AncfBeam(standard), 5),
         updated=updated,
         updated_modes=beam_modes(AncfBeam(updated.properties), 5),
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,

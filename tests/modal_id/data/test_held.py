@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from support.modal_decays import pole_of, series_of
+from support.sampling import QUICK
 
 from modal_id.data.held import sampled_rows
 from modal_id.flags import ModeFlag
 from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
 
 
 def held_decay(seed, *, empty=False):
@@ -29,7 +31,7 @@ def held_decay(seed, *, empty=False):
 def check(seeds):
     for seed in seeds:
         series, hz, sampled_hz = held_decay(seed, empty=seed % 9 == 8)
-        found = identify(series)
+        found = identify(series, IdentifySettings(sampler=QUICK))
         best = max(found.modes, key=lambda mode: mode.amplitude)
         limit = max(5.0 * best.frequency_sd_hz, 1e-3 * hz)
         assert abs(best.frequency_hz - hz) < limit, f"seed {seed}: expected {hz:.5g} Hz, found {best}"

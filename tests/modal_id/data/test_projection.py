@@ -232,9 +232,10 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
     np.testing.assert_allclose(few.fit.poles, direct.fit.poles, atol=limit, rtol=0.0)
 
 
+@pytest.mark.parametrize("records", [6, pytest.param(12, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("alike", [True, False])
-def test_an_error_common_to_all_stations_does_not_average_out(alike):
-    k, records = 24, 12
+def test_an_error_common_to_all_stations_does_not_average_out(alike, records):
+    k = 24
     errors = PositionErrors(
         rest_px=np.full((1, k), 200.3),
         px_per_unit=np.full((1, k), 0.4),

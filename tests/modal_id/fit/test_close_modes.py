@@ -17,7 +17,9 @@ def pair(first_hz, second_hz, second, duration_s, seed=0, zeta=0.003):
     return series_of(t, y + NOISE * np.random.default_rng(seed).standard_normal(t.size))
 
 
-@pytest.mark.parametrize(("second", "duration_s"), [(1.0, 10.0), (0.1, 10.0), (0.3, 4.0)])
+@pytest.mark.parametrize(
+    ("second", "duration_s"), [pytest.param(1.0, 10.0, marks=pytest.mark.slow), (0.1, 10.0), (0.3, 4.0)]
+)
 def test_a_pair_that_beats_is_two_modes(second, duration_s):
     """12.3 and 12.6 Hz beat in 3.3 s."""
     found = identify(pair(12.3, 12.6, second, duration_s), IdentifySettings(onset_s=0.0, sampler=QUICK))
@@ -72,10 +74,10 @@ def test_motion_distorted_by_its_amplitude_is_one_mode(part):
     [
         (0.005, 0.001, 5),
         pytest.param(0.01, 0.001, 50, marks=pytest.mark.slow),
-        (0.01, 0.003, 5),
+        pytest.param(0.01, 0.003, 5, marks=pytest.mark.slow),
         (0.02, 0.003, 50),
         pytest.param(0.03, 0.01, 5, marks=pytest.mark.slow),
-        (0.03, 0.01, 50),
+        pytest.param(0.03, 0.01, 50, marks=pytest.mark.slow),
     ],
 )
 def test_pairs_whose_half_power_bands_do_not_overlap_are_two_modes(apart, zeta, beats):
@@ -98,7 +100,7 @@ def test_pairs_whose_half_power_bands_do_not_overlap_are_two_modes(apart, zeta, 
         (0.005, 0.003, 50),
         pytest.param(0.005, 0.01, 50, marks=pytest.mark.slow),
         (0.01, 0.01, 5),
-        (0.02, 0.01, 50),
+        pytest.param(0.02, 0.01, 50, marks=pytest.mark.slow),
     ],
 )
 def test_the_interval_of_an_unresolved_pair_holds_both(apart, zeta, beats):

@@ -25,10 +25,10 @@ def record(rng, fps, frequency_hz, zeta, duration_s, noise):
     ("fps", "frequency_hz", "zeta", "duration_s", "noise"),
     [
         (22.67, 7.3, 0.09, 2.3, 0.002),
-        (30.0, 2.2, 0.2, 4.0, 0.002),
+        pytest.param(30.0, 2.2, 0.2, 4.0, 0.002, marks=pytest.mark.slow),
         (200.0, 12.0, 0.45, 1.5, 0.002),
-        (60.0, 19.5, 0.3, 1.0, 0.005),
-        (100.0, 3.0, 0.5, 3.0, 0.003),
+        pytest.param(60.0, 19.5, 0.3, 1.0, 0.005, marks=pytest.mark.slow),
+        pytest.param(100.0, 3.0, 0.5, 3.0, 0.003, marks=pytest.mark.slow),
         (30.0, 10.0, 0.1, 0.8, 0.01),
         (22.67, 7.3, 0.02, 4.0, 0.05),
     ],

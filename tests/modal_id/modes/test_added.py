@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from support.modal_decays import coloured, pole_of, series_of
+from support.sampling import QUICK
 
 from modal_id.data.prepare import prepare
 from modal_id.fit.model_order import find_modes
@@ -12,7 +13,7 @@ from modal_id.fit.spectrum import power_spectrum
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
-FAST = {"seed": 3}
+FAST = {"seed": 3, "sampler": QUICK}
 # Frequency, damping ratio, shape.
 LOUD = ((8.0, 0.01, (0.3, 0.7, 1.0)), (50.0, 0.004, (-0.24, -0.2, 0.4)))
 FAINT_HZ, FAINT_ZETA, FAINT_SHAPE = 141.0, 0.003, (0.8, -0.6, 1.0)
@@ -35,7 +36,7 @@ def near(found, hz, reach=0.02):
     return [one for one in found if abs(one.frequency_hz - hz) < reach * hz]
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 5])
 def test_a_mode_below_the_threshold_is_fitted_where_it_is_named(seed):
     """Amplitude 0.017 beside noise of 0.02: by the bound of Cramer and Rao, its frequency is known to about 0.1 Hz."""
     series = record(seed, 0.017)
@@ -107,8 +108,8 @@ def false_alarms(seeds, ar):
 
 
 def test_the_highest_peak_of_noise_is_no_mode():
-    """A user clicks on the highest peak; 1 % of spectra may have one: more than 2 of 20 is a chance of 1 in 1000."""
-    assert false_alarms(range(20), 0.0) <= 2
+    """A user clicks on the highest peak; 1 % of spectra may have one: more than 1 of 10 is a chance of 1 in 200."""
+    assert false_alarms(range(10), 0.0) <= 1
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ def fitted(time_s, values):
 
 @pytest.mark.parametrize("distance", [0.12, 0.4])
 def test_the_effect_is_the_largest_change_over_the_phases_of_the_vibration(distance):
-    series, *_ = one_mode(2, 1, duration_s=3.0)
+    series, *_ = one_mode(2, 1, fps=250.0, duration_s=3.0)
     time_s, values = series.time_s, series.values[:, 0]
     _, alone = fitted(time_s, values)
     line_hz = alone.frequency_hz * (1.0 + distance)
@@ -40,7 +40,7 @@ def test_the_effect_is_the_largest_change_over_the_phases_of_the_vibration(dista
 
 
 def test_a_distant_line_at_the_level_of_the_noise_changes_nothing():
-    series, *_ = one_mode(2, 1, duration_s=3.0)
+    series, *_ = one_mode(2, 1, fps=250.0, duration_s=3.0)
     found, mode = fitted(series.time_s, series.values[:, 0])
     effect = line_effect(found, mode, 2.5 * mode.frequency_hz)
     assert effect.frequency_hz < mode.frequency_sd_hz

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from support.modal_decays import pole_of, series_of
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
-FAST = {"seed": 3}
+FAST = {"seed": 3, "sampler": QUICK}
 # Frequency, damping ratio, amplitude; the strongest is that of the lamp.
 BEAM, LAMP = (12.0, 0.004, 1.0), (21.0, 0.001, 2.0)
 

@@ -23,7 +23,7 @@ def checks(values, time_s, max_modes=1):
 
 def test_p_values_are_uniform_where_the_model_is_true():
     found = [
-        checks(one_mode(2, seed, duration_s=2.0)[0].values[:, 0], np.arange(2000) / 1000.0)[0]
+        checks(one_mode(2, seed, fps=500.0, duration_s=2.0)[0].values[:, 0], np.arange(1000) / 500.0)[0]
         for seed in range(12)
     ]
     p = np.array([[one.p_value for one in row] for row in found])

@@ -91,7 +91,7 @@ def with_shapes(template, shapes):
     return replace(template, modes=tuple(modes))
 
 
-@pytest.mark.parametrize("uneven", [0.0, 0.02])
+@pytest.mark.parametrize("uneven", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_a_global_shutter_gets_no_note(template, uneven):
     """Also where phases scatter by several times their sd and similarly at neighbours."""
     told = [row_delay(with_shapes(template, simulated(seed, uneven=uneven)), ROWS) for seed in range(150)]
@@ -99,7 +99,7 @@ def test_a_global_shutter_gets_no_note(template, uneven):
     assert sum(delay is not None for delay in told) == 0
 
 
-@pytest.mark.parametrize("per_row_s", [8e-6, -12e-6])
+@pytest.mark.parametrize("per_row_s", [pytest.param(8e-6, marks=pytest.mark.slow), -12e-6])
 def test_the_sd_of_the_delay_is_that_of_its_error(template, per_row_s):
     delays = [row_delay(with_shapes(template, simulated(seed, per_row_s)), ROWS) for seed in range(60)]
     z = [(delay.per_row_s - per_row_s) / delay.sd_s for delay in delays]

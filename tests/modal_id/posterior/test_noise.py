@@ -13,7 +13,7 @@ from modal_id.solve.poles import frequency_hz
 def test_noise_level_is_unbiased(mode, ar):
     """Compare with the spectrum of AR(1) at the mode, which is 1 for white noise."""
     ratio = []
-    for seed in range(12):
+    for seed in range(6):
         model = find_modes(prepare(one_mode(mode, seed, ar=ar)[0]).data, 8)
         index = int(np.argmin(np.abs(frequency_hz(model.fit.poles) - PAPER_HZ[mode])))
         level = noise_level(model, fit_amplitude_dependence(model.problem, model.fit, index), index)

@@ -67,7 +67,7 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
 
 
 def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):
-    full = run_result(compared(paper_recordings(2)), beam=beam_result())
+    full = run_result(compared(paper_recordings(2)), beam=beam_result(elements=6))
     for out, result in (("full", full), ("empty", run_result())):
         for name in ("modes", "comparison", "updating"):
             for output in WRITERS[name].outputs(Workspace(tmp_path / out), result, ExperimentConfig()):

@@ -49,7 +49,7 @@ def test_markers_are_where_they_were_rendered(probes, kind, size_px):
 @pytest.mark.parametrize("kind", ["blob", "aruco"])
 def test_markers_that_move_are_those_of_one_frame(tmp_path, kind):
     """Each is detected where it is sharpest, up to 6 px away; the places shown are those of the first frame."""
-    scene = Recording(kind, frames=32, markers=3, width_px=320, height_px=200, amplitude_px=6.0)
+    scene = Recording(kind, frames=32, markers=3, width_px=240, height_px=90, amplitude_px=6.0)
     scene.write(tmp_path / "film.mkv")
     (probe,) = probe_folder(tmp_path, follow_symlinks=False)
     task = TrialTask(tmp_path / "film.mkv", "film.mkv", TrackerSettings(kind=kind, fps=FPS), 32)

@@ -93,7 +93,7 @@ def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
 
     monkeypatch.setattr("modalcam.pipeline.compare.each_together", both)
     context = Context(ExperimentConfig(), Workspace(tmp_path), None, None, seed=0, force=False)
-    (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result())
+    (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result(elements=6))
     assert kept.simulated_footage is not None
     assert dropped.simulated_footage is None
     assert context.results == {

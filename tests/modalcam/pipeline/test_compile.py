@@ -89,11 +89,18 @@ def test_tracking_the_bare_sample_needs_no_other_kernel():
     assert not more, f"LINES of modalcam/pipeline/compile.py must compile and list {sorted(more)}"
 
 
-def test_of_two_processes_at_once_one_compiles(tmp_path):
-    """From an empty cache; and what each computes with the kernels agrees with the C library."""
-    variables = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DEBUG_CACHE": "1"}
+@pytest.fixture(scope="module")
+def two_processes(tmp_path_factory):
+    """A cache, empty before, and the reports of two processes that compiled its kernels at the same time."""
+    folder = tmp_path_factory.mktemp("kernels")
+    variables = {"NUMBA_CACHE_DIR": str(folder), "NUMBA_DEBUG_CACHE": "1"}
     with ThreadPoolExecutor(2) as threads:
-        reports = list(threads.map(lambda _: python(FILM_KERNELS, **variables), range(2)))
+        return folder, list(threads.map(lambda _: python(FILM_KERNELS, **variables), range(2)))
+
+
+def test_of_two_processes_at_once_one_compiles(two_processes):
+    """From an empty cache; and what each computes with the kernels agrees with the C library."""
+    _, reports = two_processes
     saved = [kernels(report, "saved to") for report in reports]
     assert sorted(map(bool, saved)) == [False, True], saved
     assert listed(FILMS) <= saved[0] | saved[1]
@@ -112,10 +119,10 @@ def check_values(words, *, before):
     )
 
 
-def test_kernels_of_another_processor_are_not_used(tmp_path):
+def test_kernels_of_another_processor_are_not_used(two_processes, tmp_path):
     """In a cache that was copied, or is shared, each processor has its own."""
+    shutil.copytree(two_processes[0], tmp_path, dirs_exist_ok=True)
     here = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    check_values(python(FILM_KERNELS, **here).split(), before="2")
     other = here | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     check_values(python(FILM_KERNELS, **other).split(), before="2")
     check_values(python(FILM_KERNELS, **here).split(), before="0")

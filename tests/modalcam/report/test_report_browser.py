@@ -92,6 +92,19 @@ def paper_page(browser, tmp_path_factory, paper_html):
         yield open_report(paper_html)
 
 
+@pytest.fixture
+def changed_page(paper_page):
+    """The same page for tests that change its window, what is folded or how it is shown: restored after each."""
+    yield paper_page
+    paper_page.emulate_media(media="null", color_scheme="null", reduced_motion="null")
+    paper_page.set_viewport_size({"width": 1280, "height": 720})
+    paper_page.get_by_label("Unfold all").uncheck()
+    paper_page.evaluate(
+        "() => { document.querySelectorAll('details').forEach(one => { one.open = false; });"
+        " document.activeElement.blur(); scrollTo(0, 0); }"
+    )
+
+
 def assert_drawn(page):
     boxes = page.evaluate(
         "() => [...document.querySelectorAll('svg, img, image')].map(e => {"
@@ -142,8 +155,8 @@ def test_hostile_names_are_escaped(opened, hostile_html):
     assert_drawn(page)
 
 
-def test_the_page_does_not_scroll_horizontally(opened, paper_html):
-    page = opened(paper_html)
+def test_the_page_does_not_scroll_horizontally(changed_page):
+    page = changed_page
     for width in (320, 400, 1200):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("() => document.documentElement.scrollWidth") <= width
@@ -163,9 +176,10 @@ def pages_of(page):
     return len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True)))
 
 
-def test_the_result_takes_two_screens_and_few_printed_pages(opened, paper_html):
+def test_the_result_takes_two_screens_and_few_printed_pages(changed_page):
     """Verdict, picture, one row for each target and failed checks; all else is folded, and can be unfolded to print."""
-    page = opened(paper_html, viewport={"width": 1280, "height": 800})
+    page = changed_page
+    page.set_viewport_size({"width": 1280, "height": 800})
     assert page.locator(".hero").bounding_box()["y"] < 400, (
         "the picture is in the upper half of the first screen"
     )
@@ -179,8 +193,8 @@ def test_the_result_takes_two_screens_and_few_printed_pages(opened, paper_html):
     assert page.evaluate("() => document.querySelector('#r5 figure').checkVisibility()")
 
 
-def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(opened, paper_html):
-    page = opened(paper_html)
+def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(changed_page):
+    page = changed_page
     page.emulate_media(media="print")
     for selector, count in (("table.scores", 1), ("table.budget", 1), (".recording > summary", 5)):
         assert [part.is_visible() for part in page.locator(selector).all()] == [True] * count, selector
@@ -194,8 +208,9 @@ def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(o
     assert empty == []
 
 
-def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pixels(opened, paper_html):
-    page = opened(paper_html, viewport={"width": 390, "height": 844})
+def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pixels(changed_page):
+    page = changed_page
+    page.set_viewport_size({"width": 390, "height": 844})
     rows = page.locator("#modes table.modes").first.locator("tbody tr").all()
     boxes = [[v.bounding_box() for v in row.locator("data").all()] for row in rows]
     assert all(b["x"] >= 0 and b["x"] + b["width"] <= 390 for row in boxes for b in row)
@@ -210,8 +225,8 @@ def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pix
     assert 8.0 * page.locator("#r1-decay svg").evaluate(scale) >= 10.0, "legible after a tap"
 
 
-def test_a_link_opens_the_folded_section_it_leads_to(opened, paper_html):
-    page = opened(paper_html)
+def test_a_link_opens_the_folded_section_it_leads_to(changed_page):
+    page = changed_page
     page.locator("#modes a[href='#r3']").first.click()
     assert page.locator("details:has(> #r3)").get_attribute("open") is not None
     box = page.locator("summary:has(+ #r3)").bounding_box()
@@ -220,16 +235,16 @@ def test_a_link_opens_the_folded_section_it_leads_to(opened, paper_html):
     assert box["y"] >= nav["y"] + nav["height"] - 1, "and do not cover the section"
 
 
-def test_axe_finds_nothing(opened, one_html):
+@pytest.mark.parametrize("unfolded", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_axe_finds_nothing(opened, one_html, unfolded):
     page = opened(one_html, color_scheme="light")
     for scheme, rules in (("light", None), ("dark", {"runOnly": ["color-contrast"]})):
         # all other rules concern the elements alone
         page.emulate_media(color_scheme=scheme)
-        for unfolded in (False, True):
-            page.get_by_label("Unfold all").set_checked(unfolded)
-            found = Axe().run(page, options=rules).response
-            assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
-            assert "color-contrast" in {rule["id"] for rule in found["passes"]}, scheme
+        page.get_by_label("Unfold all").set_checked(unfolded)
+        found = Axe().run(page, options=rules).response
+        assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
+        assert "color-contrast" in {rule["id"] for rule in found["passes"]}, scheme
 
 
 def test_every_measured_number_equals_the_summary(paper_page, paper_run):
@@ -277,7 +292,9 @@ def test_the_page_of_the_paper_is_drawn_within_the_window(opened, paper_run):
         assert (text_brightness(page) > 600) == (scheme == "dark")
 
 
-@pytest.mark.parametrize(("count", "scripts"), [(0, True), (1, False), (50, True), (50, False)])
+@pytest.mark.parametrize(
+    ("count", "scripts"), [(0, True), (1, False), (50, True), pytest.param(50, False, marks=pytest.mark.slow)]
+)
 def test_any_number_of_recordings(opened, build, count, scripts):
     html = build(runs.run_result([runs.recording(0, seconds=1.0)] * count))
     # The size of the page of five recordings in docs/files.md.

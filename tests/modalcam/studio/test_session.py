@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 from support.decay_clip import write_decay
-from support.paths import ROOT, SAMPLES
+from support.paths import ROOT
 
 from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
@@ -208,11 +208,10 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
 
 
 def test_a_test_track_begins_at_any_frame_and_calls_no_driven_part_a_decay(tmp_path):
-    """The sample of mode 1 is shaken at first and then decays with 1 %, which 200 frames show to a twentieth."""
+    """A dot is driven for 2 s, hardly weaker with time, and then decays at 1 / s, which 200 frames show to a 20th."""
     folder = tmp_path / "videos"
     folder.mkdir()
-    for name in ("mode1.avi", "experiment.toml"):
-        shutil.copy(SAMPLES / name, folder)
+    write_decay(folder, frames=440, onset_s=2.0, weaker_1_s=0.05)
     studio = new_studio(folder)
     frames = studio.frame_count(0)
     whole = studio.track_some(0, 400).tracks
@@ -225,7 +224,7 @@ def test_a_test_track_begins_at_any_frame_and_calls_no_driven_part_a_decay(tmp_p
     assert np.array_equal(later.tracks.x_px, whole.x_px[200:])
     assert later.tracks.time_s[0] == whole.time_s[200]
     target = next(m for m in studio.decay_of_trial(0).modes if m.target)
-    assert target.damping_ratio == pytest.approx(0.01, rel=0.05)
+    assert target.damping_ratio == pytest.approx(1.0 / (2.0 * np.pi * 10.2), rel=0.05)
     assert "DRIVEN" not in target.flags
     studio.expect(0)
     assert studio.trial(0)[1].seconds == pytest.approx((frames - 200) * whole.time_s[1])

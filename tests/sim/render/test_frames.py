@@ -58,7 +58,7 @@ def test_rotated_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
     cells = aruco_cells("DICT_4X4_50", 7)
     side = 12.0 / 0.8 / 6
     card = rectangle_corners(x, y, 8.0 / 0.8, 8.0 / 0.8, angle)
-    for _ in range(40):
+    for _ in range(20):
         column, row = (rng.integers(np.ceil(v) - 11, np.floor(v) + 11) for v in (x, y))
         truth = 120.0 + 80.0 * convex_pixel(column, row, card, sigma)
         for i, j in np.argwhere(~cells):
