@@ -143,11 +143,12 @@ def least_gain(record: DecayRecord) -> float:
 def any_variance_cost(record: DecayRecord, even: ClockFit) -> float:
     """Cost of evenly spaced frames where the noise of eight successive ones differs, or varies with the motion's phase.
 
-    Codecs predict frames from others in such an order, and errors of positions grow with the speed.
+    Codecs predict frames from others in such an order, and errors of positions grow with the speed. Each variance but
+    one gains 1 by chance.
     """
     own = record.poles[record.strongest].imag / (2.0 * np.pi)
     others = (_flickering(record, even, cycles).cost for cycles in (1.0 / _VARIANCES, own))
-    return min(even.cost, *others)
+    return min(even.cost, min(others) + _VARIANCES - 1)
 
 
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
