@@ -20,7 +20,7 @@ width_mm = 5.0
 thickness_mm = 0.5
 density_kg_m3 = 8000.0
 elastic_modulus_mpa = 210000.0
-elements = 6
+elements = 10
 """
 
 
