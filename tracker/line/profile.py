@@ -64,13 +64,17 @@ class ProfileSums:
         self.normal, self.rhs = np.zeros((nodes, count, 4)), np.zeros((nodes, count))
 
     def solve(self) -> LearnedProfile:
-        """The profiles; smooth where no pixel was seen."""
+        """The profiles; smooth where no pixel was seen, 0 where none was."""
         count = self.rhs.shape[1]
         third = np.diff(np.eye(count), n=3, axis=0)
         smoothing = third.T @ third
         coefs = []
         for normal, rhs in zip(self.normal, self.rhs, strict=True):
-            typical = float(np.mean(normal[:, 0])) or 1.0
+            typical = float(np.mean(normal[:, 0]))
+            if typical == 0.0:
+                # Smoothing alone is singular: whether it has a factor would depend on the rounding of the processor.
+                coefs.append(np.zeros(count))
+                continue
             banded = np.zeros((4, count))
             for d in range(4):
                 banded[d, : count - d] = normal[: count - d, d]
