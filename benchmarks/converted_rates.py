@@ -109,7 +109,7 @@ class ConvertedCase:
         every = known.all_modes
         even = known.fit(known.evenly(), every)
         cost = any_variance_cost(known, even) if kind == "blended" else even.cost
-        true = known.fit(known.waves(Clock(kind, self.ratio, phase)), every)
+        true = known.fit(known.waves(Clock(kind, self.ratio, phase))._replace(double=None), every)
         return cost - true.cost < least_gain(known)
 
 

@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.fit.model_order import ModalFit
 from modal_id.flags import RATE_CONVERTED_NOTE
-from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, decay_record
+from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
 from tracker.arrays import BoolArray, FloatArray
 
 # Probability of a false answer in white noise, for all hypotheses of a record together.
@@ -172,7 +172,7 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
 def _fit(record: DecayRecord, clock: Clock) -> ClockFit:
     """Fit of a clock, with all modes where errors that repeat with the motion would make the same side bands."""
     if _repeats(record, clock):
-        return record.fit(record.waves(clock), record.all_modes)
+        return record.fit(record.waves(clock)._replace(double=None), record.all_modes)
     return record.fit_clock(clock)
 
 
@@ -245,17 +245,17 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None
     starts = [start for start in starts if _tells(record, start)]
     if not starts:
         return None
-    best = _cheapest(record, [_refined(record, start, (0.5, 0.25)) for start in starts])
-    return _refined(record, best, (0.125, 0.06))
+    best = _cheapest(record, [_refined(record, start, (0.5, 0.25)) for start in starts], exact=True)
+    return _refined(record, best, (0.125, 0.06), exact=True)
 
 
 def _tells(record: DecayRecord, start: Clock) -> bool:
     """Whether the nearest phase that was tried first has half of what noise reaches; it loses a tenth at most."""
-    fit = record.fit_clock(start)
+    fit = record.fit_clock(start, exact=False)
     return fit.cost + 0.5 * least_gain(record) < record.fit(record.evenly(), fit.modes).cost
 
 
-def _refined(record: DecayRecord, clock: Clock, steps: tuple[float, ...]) -> Clock:
+def _refined(record: DecayRecord, clock: Clock, steps: tuple[float, ...], *, exact: bool = False) -> Clock:
     """The best clock around this one; half a bin of the ratio moves the ends by a quarter of a frame."""
     for step in steps:
         around = (
@@ -263,12 +263,12 @@ def _refined(record: DecayRecord, clock: Clock, steps: tuple[float, ...]) -> Clo
             for a in (-1, 0, 1)
             for b in (-2, -1, 0, 1, 2)
         )
-        clock = _cheapest(record, around)
+        clock = _cheapest(record, around, exact=exact)
     return clock
 
 
-def _cheapest(record: DecayRecord, clocks: Iterable[Clock]) -> Clock:
-    return min(clocks, key=lambda one: record.fit_clock(one).cost)
+def _cheapest(record: DecayRecord, clocks: Iterable[Clock], *, exact: bool = False) -> Clock:
+    return min(clocks, key=lambda one: record.fit_clock(one, exact=exact).cost)
 
 
 def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit) -> float:
@@ -304,7 +304,7 @@ def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:
     phase = (np.mod(cycles * record.rows + 1e-6, 1.0) * _VARIANCES).astype(np.intp)
     counts = np.bincount(phase, minlength=_VARIANCES)
     variance = np.bincount(phase, power, minlength=_VARIANCES) / np.maximum(counts, 1)
-    return record.fit((record.evenly()[0], np.maximum(variance[phase], 1e-3)), record.all_modes)
+    return record.fit(Waves(record.evenly().modes, np.maximum(variance[phase], 1e-3)), record.all_modes)
 
 
 def _independent(residual: FloatArray) -> float:

@@ -8,7 +8,7 @@ second frame was left out), the frames are evenly spaced.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,31 @@ _ROWS_PER_COLUMN = 4
 # Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
 # no conversion, and the poles of a fit to evenly spaced frames are biased where the frames are not.
 _ENVELOPE, _OTHER_ENVELOPES = (0, 1, 2, 3), (0, 1, 2)
+# Side bands nearer than this follow envelopes: errors of double images fitted one of a frequency that changes.
+_SEPARATE_BINS = 8.0
 # Side bands up to this order are no modes; they lie within this many bins of 1 / rows of their place. They have the
 # shape and the decay rate of the strongest mode, as far as these are known; others that are left bias the rate.
 _HIGHEST_ORDER, _NEAR_BINS = 8, 3.0
 _SAME_SHAPE, _SAME_RATE_SD, _SAME_RATE = 0.8, 4.0, 0.2
 # Largest distance of a row from its place, in steps: a displaced frame is off by a third of one (rms).
 _EVEN = 0.1
+
+
+class Waves(NamedTuple):
+    """Each mode in each frame.
+
+    Attributes
+    ----------
+    modes : complex array, shape (n, m)
+    variance : array, shape (n,), or None
+        Relative variance of the noise; None where it is the same in all frames.
+    double : complex array, shape (n,), or None
+        Shape of the error of the strongest mode's position in the double images of blended frames.
+    """
+
+    modes: ComplexArray
+    variance: FloatArray | None = None
+    double: ComplexArray | None = None
 
 
 @dataclass(frozen=True)
@@ -105,16 +124,19 @@ class DecayRecord:
         slow = np.linalg.qr(self.slow[kept])[0]
         return replace(self, rows=self.rows[kept], values=self.values[kept], slow=slow)
 
-    def fit_clock(self, clock: Clock) -> ClockFit:
+    def fit_clock(self, clock: Clock, *, exact: bool = True) -> ClockFit:
         """Least squares with the frames where the clock says, without the modes that it makes side bands.
 
-        Either all at such places are, or those alone that look like the strongest mode: the better of both.
+        Either all at such places are, or those alone that look like the strongest mode; if `exact`, with the errors of
+        double images or without: the best of all.
         """
         waves, near = self.waves(clock), self._near_side_bands(clock)
         alike = near & self.alike
         masks = [alike] if np.array_equal(alike, near) else [alike, near]
+        images = [waves._replace(double=None)]
+        images += [waves] if exact and waves.double is not None else []
         per_parameter = float(np.log(self.values.size))
-        fits = (self.fit(waves, ~mask) for mask in masks)
+        fits = (self.fit(one, ~mask) for one in images for mask in masks)
         return min(fits, key=lambda one: one.cost + one.parameters * per_parameter)
 
     def _near_side_bands(self, clock: Clock) -> BoolArray:
@@ -136,35 +158,49 @@ class DecayRecord:
         motion = np.exp(self.rows * self.poles[self.strongest])[:, None] * amplitudes
         return motion.real, (self.poles[self.strongest] * motion).real
 
-    def evenly(self) -> tuple[ComplexArray, None]:
-        """Each mode in each frame of evenly spaced ones, shape (n, m)."""
-        return np.exp(np.outer(self.rows, self.poles)), None
+    def evenly(self) -> Waves:
+        """Each mode in each frame of evenly spaced ones."""
+        return Waves(np.exp(np.outer(self.rows, self.poles)))
 
-    def waves(self, clock: Clock, share: float = 1.0) -> tuple[ComplexArray, FloatArray | None]:
-        """Each mode in each frame, shape (n, m), and the relative variance of the noise, shape (n,).
+    def waves(self, clock: Clock, share: float = 1.0) -> Waves:
+        """Each mode in each frame, displaced from even spacing by this share of what the clock says.
 
-        Frames are displaced from even spacing by this share of what the clock says.
+        A marker in a blended frame is a double image. Its position is the mean of both to first order in their
+        distance; for a symmetric marker, the error grows with its third power, and is odd about equal weights.
         """
         if clock.kind == "inserted":
-            return np.exp(np.outer(np.arange(self.rows.size) / clock.ratio, self.poles)), None
+            return Waves(np.exp(np.outer(np.arange(self.rows.size) / clock.ratio, self.poles)))
         place = clock.ratio * (self.rows - self.length // 2) + clock.phase
         frame = np.floor(place + 1e-9)
         if clock.kind == "moved":
             time = self.rows + share * ((frame - place) / clock.ratio)
-            return np.exp(np.outer(time, self.poles)), None
+            return Waves(np.exp(np.outer(time, self.poles)))
         weight = np.clip(place - frame, 0.0, 1.0)
         poles = self.poles / clock.ratio
         mean = (1.0 - weight)[:, None] + weight[:, None] * np.exp(poles)
         waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
-        return waves, weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
+        strongest = self.poles[self.strongest]
+        variance = weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
+        if self._bins_beside(clock) < _SEPARATE_BINS:
+            return Waves(waves, variance)
+        error = weight * (1.0 - weight) * (1.0 - 2.0 * weight)
+        double = waves[:, self.strongest] * np.exp(2.0 * strongest.real * self.rows) * error
+        return Waves(waves, variance, double)
 
-    def fit(self, model: tuple[ComplexArray, FloatArray | None], kept: BoolArray) -> ClockFit:
+    def _bins_beside(self, clock: Clock) -> float:
+        """Distance of the clock's first side bands from the strongest mode, in cycles per record."""
+        own = self.poles[self.strongest].imag / (2.0 * np.pi)
+        beside = np.array([clock.ratio, clock.ratio + 2.0 * own, clock.ratio - 2.0 * own])
+        return float(np.min(np.abs(beside - np.rint(beside)))) * self.length
+
+    def fit(self, model: Waves, kept: BoolArray) -> ClockFit:
         """Least squares of the amplitudes of the modes that are kept."""
-        waves, variance = model
+        waves, variance, double = model
         time = (self.rows / self.length)[:, None]
         others = np.flatnonzero(kept & (np.arange(kept.size) != self.strongest))
         envelopes = [waves[:, self.strongest, None] * time ** np.array(_ENVELOPE)]
         envelopes += [waves[:, others] * time**power for power in _OTHER_ENVELOPES]
+        envelopes += [] if double is None else [double[:, None]]
         columns, values = real_columns(np.concatenate(envelopes, axis=1)), self.values
         # Least squares of the slow motion, also where the rows do not count the same.
         columns, values = (part - self.slow @ (self.slow.T @ part) for part in (columns, values))
@@ -185,6 +221,7 @@ class DecayRecord:
         # A complex amplitude in each component, and two of the pole, which are known to the power -3/2 of the rows and
         # count three times each (P. M. Djuric, IEEE Trans. Signal Process. 44, 1996, p. 1744).
         parameters = int(np.count_nonzero(kept)) * (6 + 2 * values.shape[1])
+        parameters += 0 if double is None else 2 * values.shape[1]
         residual /= np.sqrt(np.repeat(power, counts, axis=0))
         return ClockFit(cost, residual, amplitudes, parameters, kept)
 

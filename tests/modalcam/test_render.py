@@ -9,6 +9,7 @@ from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px
 from support.render_truth import centroid
 
 from modalcam.commands import Options
+from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import InputError
 from modalcam.execution.pool import Progress
 from modalcam.pipeline.saved import load_run
@@ -24,7 +25,7 @@ def frames_of(path):
             yield rows[: frame.height, : frame.width].astype(float)
 
 
-def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
+def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path, monkeypatch):
     # Only saved frames are used: the recording is not available.
     shutil.copytree(decay_run / "out", tmp_path / "out")
     options = Options(tmp_path / "out")
@@ -48,5 +49,12 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
     again = tmp_path / "again.avi"
     film_run(options, "take", again, Progress())
     assert again.read_bytes() == path.read_bytes()
+    # The exposure of a frame at the onset would begin before the simulation does.
+    stated = ExperimentConfig.for_recording
+    exposure = {"exposure_s": 2.0 / FPS}
+    monkeypatch.setattr(
+        ExperimentConfig, "for_recording", lambda *one: stated(*one).model_copy(update=exposure)
+    )
+    assert film_run(options, "take", again, Progress()) == count - 1
     with pytest.raises(InputError, match="there is no recording other; it holds take"):
         film_run(options, "other", again, Progress())

@@ -87,6 +87,37 @@ def test_a_pattern_at_three_times_the_frequency_is_recognised():
     assert answer(case.record()[0], np.nan) == ("flagged", FLAG)
 
 
+def double_image_px(first_px, second_px, weight, width_px=3.0):
+    """Position of a Gaussian spot in a blended frame: where its template correlates best with the double image."""
+    place = (1.0 - weight) * first_px + weight * second_px
+    for _ in range(20):
+        near = (1.0 - weight) * np.exp(-(((place - first_px) / width_px) ** 2) / 4.0)
+        far = weight * np.exp(-(((place - second_px) / width_px) ** 2) / 4.0)
+        place = (near * first_px + far * second_px) / (near + far)
+    return place
+
+
+@pytest.mark.parametrize(
+    "ratio", [5 / 4, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (4 / 3, 4 / 5))]
+)
+def test_errors_of_double_images_hide_no_conversion(ratio):
+    """The spot moves by 1.6 px per recorded frame; the error of its position is up to 0.02 px."""
+    frames = np.arange(1200)
+    swing = 6.0 * np.exp(2 * np.pi * 10.577 / 250.0 * complex(-0.005, 1.0) * frames).real
+    place = ratio * np.arange(int((frames.size - 2) / ratio))
+    first = np.floor(place + 1e-9).astype(np.intp)
+    weight = np.maximum(place - first, 0.0)
+    seen = double_image_px(swing[first], swing[first + 1], weight)[:, None] * np.array([1.0, 0.33])
+    rng = np.random.default_rng(1)
+    recorded = 0.004 * rng.standard_normal((frames.size, 2))
+    seen += (1.0 - weight)[:, None] * recorded[first] + weight[:, None] * recorded[first + 1]
+    target = identify(series_of(np.arange(place.size) / 250.0, seen), AT_ONCE).target
+    assert FLAG in target.flags
+    (note,) = [note for note in target.notes if note.startswith("Frames fit a converted rate")]
+    # Four digits are stated; the pattern is known to a quarter of a cycle in 900 frames, 3e-4.
+    assert float(note.split(": ")[1].split()[0]) == pytest.approx(ratio, rel=4e-4), note
+
+
 def test_noise_that_follows_the_motion_is_no_conversion():
     """Errors of positions grow with the speed, whose square has twice the frequency of the motion."""
     series = one_mode(500.0, 40.0, np.arange(2000), 0.0, 1)
