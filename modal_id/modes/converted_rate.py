@@ -251,7 +251,7 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None
 
 def _tells(record: DecayRecord, start: Clock) -> bool:
     """Whether the nearest phase that was tried first has half of what noise reaches; it loses a tenth at most."""
-    fit = record.fit_clock(start, exact=False)
+    fit = record.fit_clock(start)
     return fit.cost + 0.5 * least_gain(record) < record.fit(record.evenly(), fit.modes).cost
 
 

@@ -32,7 +32,8 @@ _ROWS_PER_COLUMN = 4
 # Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
 # no conversion, and the poles of a fit to evenly spaced frames are biased where the frames are not.
 _ENVELOPE, _OTHER_ENVELOPES = (0, 1, 2, 3), (0, 1, 2)
-# Side bands nearer than this follow envelopes: errors of double images fitted one of a frequency that changes.
+# Double images need side bands this far from the mode, and a pattern this far from alternate frames: nearer ones were
+# fitted to a frequency that changes, and to the errors of a codec. Means at alternate frames have equal weights.
 _SEPARATE_BINS = 8.0
 # Side bands up to this order are no modes; they lie within this many bins of 1 / rows of their place. They have the
 # shape and the decay rate of the strongest mode, as far as these are known; others that are left bias the rate.
@@ -188,9 +189,9 @@ class DecayRecord:
         return Waves(waves, variance, double)
 
     def _bins_beside(self, clock: Clock) -> float:
-        """Distance of the clock's first side bands from the strongest mode, in cycles per record."""
+        """Cycles per record from the first side bands to the mode, or from the pattern to alternate frames."""
         own = self.poles[self.strongest].imag / (2.0 * np.pi)
-        beside = np.array([clock.ratio, clock.ratio + 2.0 * own, clock.ratio - 2.0 * own])
+        beside = np.array([clock.ratio, clock.ratio + 2.0 * own, clock.ratio - 2.0 * own, clock.ratio - 0.5])
         return float(np.min(np.abs(beside - np.rint(beside)))) * self.length
 
     def fit(self, model: Waves, kept: BoolArray) -> ClockFit:
