@@ -134,10 +134,11 @@ class DecayRecord:
         waves, near = self.waves(clock), self._near_side_bands(clock)
         alike = near & self.alike
         masks = [alike] if np.array_equal(alike, near) else [alike, near]
-        images = [waves._replace(double=None)]
-        images += [waves] if exact and waves.double is not None else []
+        fits = [self.fit(waves._replace(double=None), ~mask) for mask in masks]
+        if exact and waves.double is not None:
+            doubles = (self.fit(waves, ~mask) for mask in masks)
+            fits += [fit for fit in doubles if _opposes_velocity(fit.amplitudes)]
         per_parameter = float(np.log(self.values.size))
-        fits = (self.fit(one, ~mask) for one in images for mask in masks)
         return min(fits, key=lambda one: one.cost + one.parameters * per_parameter)
 
     def _near_side_bands(self, clock: Clock) -> BoolArray:
@@ -225,6 +226,16 @@ class DecayRecord:
         parameters += 0 if double is None else 2 * values.shape[1]
         residual /= np.sqrt(np.repeat(power, counts, axis=0))
         return ClockFit(cost, residual, amplitudes, parameters, kept)
+
+
+def _opposes_velocity(amplitudes: FloatArray) -> bool:
+    """Whether the errors of double images are in phase with minus the velocity, as the third power of the distance is.
+
+    A position is where a template fits best, which is nearer to the stronger image than the mean is.
+    """
+    strongest, double = (amplitudes[k] - 1j * amplitudes[k + 1] for k in (0, -2))
+    ratio = np.vdot(strongest, double)
+    return bool(-ratio.imag > abs(ratio.real))
 
 
 def decay_record(model: ModalFit) -> DecayRecord | None:
