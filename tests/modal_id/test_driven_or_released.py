@@ -13,10 +13,10 @@ from modal_id.settings import IdentifySettings
 
 @pytest.mark.parametrize("drive_hz", [7.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_the_strongest_line_of_a_drive_with_harmonics_is_named_first(drive_hz):
-    """A shaker that starts after 2 s at rest and is not linear: all multiples are lines of what drives the motion."""
-    t = np.arange(8000) / 400.0
-    grown = np.clip((t - 2.0) / 0.5, 0.0, 1.0)
-    lines = {1: 3.2, 2: 1.5, 3: 0.6, 5: 0.9}
+    """A shaker that starts after 1 s at rest and is not linear: all multiples are lines of what drives the motion."""
+    t = np.arange(2500) / 250.0
+    grown = np.clip((t - 1.0) / 0.25, 0.0, 1.0)
+    lines = {1: 3.2, 2: 1.5, 5: 0.9}
     y = grown * sum(a * np.cos(2.0 * np.pi * n * drive_hz * t + n) for n, a in lines.items())
     found = identify(series_of(t, y + 0.05 * np.random.default_rng(1).standard_normal(t.size)))
     assert found.modes == ()
@@ -117,9 +117,9 @@ def test_an_uneven_drive_is_not_said_to_be_noise():
 def test_a_transient_of_the_sensor_before_a_drive_is_not_the_answer():
     """An accelerometer rings for a few samples after power-on, which alone determines a damping ratio well."""
     rng = np.random.default_rng(5)
-    t = np.arange(40000) / 4000.0
-    grown = np.clip((t - 1.5) / 0.01, 0.0, 1.0)
-    lines = {1: 0.37, 2: 0.24, 3: 0.06, 4: 0.1, 5: 0.07, 6: 0.04}
+    t = np.arange(16000) / 4000.0
+    grown = np.clip((t - 0.6) / 0.01, 0.0, 1.0)
+    lines = {1: 0.37, 2: 0.24, 4: 0.1}
     y = grown * sum(a * np.cos(2.0 * np.pi * n * 7.0 * t + n) for n, a in lines.items())
     y[:8] += 0.66 * np.exp(-0.55 * np.arange(8)) * np.cos(1.4 * np.arange(8) + 0.8)
     found = identify(series_of(t, y + 0.004 * rng.standard_normal(t.size)))

@@ -355,7 +355,7 @@ needs_the_recordings = pytest.mark.skipif(not CANTILEVER_DATA.is_dir(), reason=R
     [
         (1, "30cm*21-13-02*", 108.0, {"between_s": (0.1, 0.9), "every": 1, "max_modes": 3}),
         pytest.param(2, "50cm*11-47-59*", 6.0, {"max_modes": 2}, marks=pytest.mark.slow),
-        (3, "50cm*11-47-59*", 39.0, {"max_modes": 2}),
+        pytest.param(3, "50cm*11-47-59*", 39.0, {"max_modes": 2}, marks=pytest.mark.slow),
     ],
 )
 def test_recordings_of_the_cantilever_give_the_frequencies_on_the_page(

@@ -15,7 +15,7 @@ from tracker.settings import TrackerSettings
 from tracker.track import track_source
 from tracker.video.base import Frame, SourceInfo
 
-MARKERS = 2
+MARKERS = 1
 
 
 class _Loop:
@@ -49,7 +49,7 @@ class _Loop:
 
 @pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
-    return Recording("blob", markers=MARKERS, frames=89, width_px=160, height_px=80).images()
+    return Recording("blob", markers=MARKERS, frames=89, width_px=80, height_px=80).images()
 
 
 def _peak_while_tracking(images: list[np.ndarray], frames: int) -> int:
@@ -65,7 +65,7 @@ def _peak_while_tracking(images: list[np.ndarray], frames: int) -> int:
             peaks.append(tracemalloc.get_traced_memory()[1] - base)
 
     peaks: list[int] = []
-    settings = TrackerSettings(fps=Fraction(1000), kind="blob")
+    settings = TrackerSettings(fps=Fraction(1000), kind="blob", exposure_s=1e-5)
     tracemalloc.start()
     try:
         tracks = track_source(_Loop(images, frames), "loop", settings, progress)

@@ -19,17 +19,19 @@ CENTRES_PX, HALF_PX, WINDOW_PX = ((45.0, 48.0), (112.0, 48.0)), 14.0, 41.0
 NOISE = 1.0
 
 
-def texture(seed, shape):
-    """Function of x and y (px): a sum of plane waves of 6 to 25 px, known at every sub-pixel position."""
+def texture(seed, x, y):
+    """Function of a shift along x (px): a sum of plane waves of 6 to 25 px, known at every sub-pixel position."""
     rng = np.random.default_rng(seed)
     wave = 2 * np.pi / rng.uniform(6.0, 25.0, 20)
     turn, phase = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0, 2 * np.pi, 20)
 
-    def value(x, y):
-        total = np.zeros(shape)
-        for w, a, p in zip(wave, turn, phase, strict=True):
-            total += np.cos(w * (np.cos(a) * x + np.sin(a) * y) + p)
-        return total
+    along = wave * np.cos(turn)
+    at = np.exp(1j * (np.multiply.outer(x, along) + np.multiply.outer(y, wave * np.sin(turn)) + phase))
+    parts = np.stack([at.real, at.imag], axis=-1).reshape(*x.shape, -1)
+
+    def value(shift):
+        back = along * shift
+        return parts @ np.stack([np.cos(back), np.sin(back)], axis=-1).ravel()
 
     return value
 
@@ -43,15 +45,15 @@ def strips(motion_px):
     """Two textured strips that move in opposite directions before a textured background at rest."""
     y, x = np.mgrid[:HEIGHT_PX, :WIDTH_PX].astype(np.float64)
     rng = np.random.default_rng(7)
-    rear = 150.0 + 10.0 * texture(1, x.shape)(x, y)
-    fronts = [texture(2, x.shape), texture(3, x.shape)]
+    rear = 150.0 + 10.0 * texture(1, x, y)(0.0)
+    fronts = [texture(2, x, y), texture(3, x, y)]
     images = []
     for moved in motion_px:
         image = rear
         for k, (centre, _) in enumerate(CENTRES_PX):
             shift = moved if k == 0 else -moved
             inside = strip_edges(x - shift, centre)
-            image = image + inside * (110.0 + 7.0 * fronts[k](x - shift, y) - image)
+            image = image + inside * (110.0 + 7.0 * fronts[k](shift) - image)
         images.append(np.clip(np.rint(image + rng.normal(0.0, NOISE, x.shape)), 0, 255).astype(np.uint8))
     return images
 

@@ -30,7 +30,8 @@ def dependences(rise, seeds):
     for mode in range(5):
         for seed in seeds:
             series, zeta0, zeta1 = decay(mode, rise, seed)
-            model = find_modes(prepare(series).data, 8)
+            # Of one mode: that no second one is found is tested in test_close_modes.py.
+            model = find_modes(prepare(series).data, 1)
             index = int(np.argmax(np.abs(model.fit.linear.amplitudes[:, 0])))
             yield determine_mode(model, index).dependence, zeta0, zeta1
 
@@ -51,17 +52,17 @@ def check(rise, seeds, least, most):
 
 
 # Mode 5 is above the noise for 2 s only: 2 % is 2.5 standard deviations of its slope at the Cramer-Rao bound.
-CASES = [(0.0, 0.0, 0.03), (0.02, 0.70, 1.0), (0.05, 0.99, 1.0)]
+NONE, SMALL, CLEAR = (0.0, 0.0, 0.03), (0.02, 0.70, 1.0), (0.05, 0.99, 1.0)
 
 
-@pytest.mark.parametrize(("rise", "least", "most"), CASES)
+@pytest.mark.parametrize(("rise", "least", "most"), [NONE, CLEAR])
 def test_detection_rate_and_coverage(rise, least, most):
     check(rise, range(3), least, most)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize(("rise", "least", "most"), CASES)
+@pytest.mark.parametrize(("rise", "least", "most"), [NONE, SMALL, CLEAR])
 def test_detection_rate_and_coverage_500(rise, least, most):
     check(rise, range(100, 200), least, most)
 

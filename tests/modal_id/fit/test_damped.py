@@ -29,7 +29,7 @@ def record(rng, fps, frequency_hz, zeta, duration_s, noise):
         (200.0, 12.0, 0.45, 1.5, 0.002),
         pytest.param(60.0, 19.5, 0.3, 1.0, 0.005, marks=pytest.mark.slow),
         pytest.param(100.0, 3.0, 0.5, 3.0, 0.003, marks=pytest.mark.slow),
-        (30.0, 10.0, 0.1, 0.8, 0.01),
+        pytest.param(30.0, 10.0, 0.1, 0.8, 0.01, marks=pytest.mark.slow),
         (22.67, 7.3, 0.02, 4.0, 0.05),
     ],
 )

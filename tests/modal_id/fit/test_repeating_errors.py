@@ -91,7 +91,9 @@ def template_noise(share, rest_px=0.3):
     return disturb
 
 
-@pytest.mark.parametrize(("frames", "amplitude_px"), [(1500, 0.7), (4000, 1.0), (1500, 5.0)])
+@pytest.mark.parametrize(
+    ("frames", "amplitude_px"), [(1500, 0.7), pytest.param(4000, 1.0, marks=pytest.mark.slow), (1500, 5.0)]
+)
 def test_template_noise_does_not_make_intervals_too_narrow(frames, amplitude_px):
     known = errors(2, periodic=LOSSLESS_SHARE)
     plain, free, wider = scores(frames, amplitude_px, known, template_noise(LOSSLESS_SHARE))
@@ -130,7 +132,9 @@ def test_errors_over_the_blocks_of_a_codec_do_not_make_intervals_too_narrow():
     assert_calibrated(free, "blocks of 8 px")
 
 
-@pytest.mark.parametrize("lost", [0.2, SHRINKAGE, 1.0, 1.5])
+@pytest.mark.parametrize(
+    "lost", [0.2, *(pytest.param(x, marks=pytest.mark.slow) for x in (SHRINKAGE, 1.0)), 1.5]
+)
 def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
     """A dead zone of constant size takes the same from every amplitude, and all markers the same."""
     known = predicted_errors(2)
@@ -173,7 +177,7 @@ def test_what_predicted_frames_omit_on_average_changes_neither_damping_nor_frequ
     assert np.all(np.abs(corrected) < 3.5 / np.sqrt(RECORDS)), f"mean z of damping and frequency: {corrected}"
 
 
-@pytest.mark.parametrize("lag", [-1.0, 1.0, 2.5])
+@pytest.mark.parametrize("lag", [-1.0, pytest.param(1.0, marks=pytest.mark.slow), 2.5])
 def test_the_lag_of_frames_predicted_from_earlier_ones_is_inside_the_interval_of_the_frequency(lag):
     """A lag of constant size delays small amplitudes more: a phase that changes, which looks like a frequency."""
     known, time = predicted_errors(1, forward=True), np.arange(1500) / FPS

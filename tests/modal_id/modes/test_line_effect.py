@@ -17,7 +17,7 @@ def fitted(time_s, values):
     return found, found.modes[0]
 
 
-@pytest.mark.parametrize("distance", [0.12, 0.4])
+@pytest.mark.parametrize("distance", [0.12, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_the_effect_is_the_largest_change_over_the_phases_of_the_vibration(distance):
     series, *_ = one_mode(2, 1, fps=250.0, duration_s=3.0)
     time_s, values = series.time_s, series.values[:, 0]

@@ -16,7 +16,7 @@ BEAM, LAMP = (12.0, 0.004, 1.0), (21.0, 0.001, 2.0)
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(5)
-    time_s = np.arange(1500) / 250.0
+    time_s = np.arange(750) / 125.0
     motion = sum(a * np.exp(pole_of(f, zeta) * time_s).real for f, zeta, a in (BEAM, LAMP))
     return series_of(time_s, motion + 0.01 * rng.normal(size=time_s.size))
 

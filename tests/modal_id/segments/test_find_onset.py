@@ -37,7 +37,7 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     )
     theory = tuple(PAPER_HZ * np.array([1.01, 1.03, 1.08, 1.07, 1.06]))
     settings = IdentifySettings(
-        mode=mode + 1, expected_frequencies_hz=theory, expected_shapes=clamped_free_shapes()
+        mode=mode + 1, expected_frequencies_hz=theory, expected_shapes=clamped_free_shapes(), max_modes=5
     )
     found = identify(series, settings)
     assert found, found.reason
@@ -112,7 +112,7 @@ def found_onset(series, mode):
 STOPS = [(4, 0.5, 1.5), (3, 0.6, 2.0), (2, 0.8, 2.6)]
 
 
-@pytest.mark.parametrize("records", [2, pytest.param(3, marks=slow)])
+@pytest.mark.parametrize("records", [1, pytest.param(3, marks=slow)])
 @pytest.mark.parametrize("relative", [False, True])
 def test_stop_is_located_within_half_a_sample(relative, records):
     rng = np.random.default_rng(11)

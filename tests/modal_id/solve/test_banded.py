@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 from support.modal_decays import series_of
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.results import Identification
+from modal_id.settings import IdentifySettings
 from modal_id.solve.banded import BandedFactor, normal_band
 
 
@@ -41,7 +43,7 @@ def peak_of(samples):
     series = series_of(time_s, motion[:, None])
     tracemalloc.start()
     try:
-        found = identify(series)
+        found = identify(series, IdentifySettings(max_modes=1, sampler=QUICK))
         return tracemalloc.get_traced_memory()[1], found
     finally:
         tracemalloc.stop()

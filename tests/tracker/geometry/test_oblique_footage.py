@@ -15,10 +15,10 @@ from tracker.track import track
 VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
 
 
-def footage(tmp_path, view):
-    # Nine tenths of a cycle.
+def footage(tmp_path, view, frames=40):
+    # 40 frames are nine tenths of a cycle.
     recording = Recording(
-        "aruco", frames=40, markers=6, frequency_hz=22.6, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0
+        "aruco", frames=frames, markers=6, frequency_hz=22.6, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0
     )
     images = recording.images()
     if view is not None:
@@ -26,7 +26,9 @@ def footage(tmp_path, view):
             cv2.warpPerspective(i, view, (640, 480), flags=cv2.INTER_CUBIC, borderValue=200) for i in images
         ]
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
-    settings = TrackerSettings(fps=Fraction(1000), kind="aruco", dictionary="DICT_4X4_50", size_mm=32.0)
+    settings = TrackerSettings(
+        fps=Fraction(1000), kind="aruco", dictionary="DICT_4X4_50", size_mm=32.0, exposure_s=1e-5
+    )
     return recording, track(path, settings, recording="a")
 
 
@@ -48,6 +50,6 @@ def test_displacements_have_their_true_length_everywhere(tmp_path):
 
 
 def test_a_frontal_view_is_not_rectified(tmp_path):
-    _, tracks = footage(tmp_path, None)
+    _, tracks = footage(tmp_path, None, frames=12)
     assert tracks.plane is None
     assert abs(tracks.scale.mm_per_px - 1.0) < 3 * tracks.scale.sd_mm_per_px

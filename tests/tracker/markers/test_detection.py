@@ -273,6 +273,14 @@ def with_code(image, centre, side_px=28):
     return out
 
 
+@pytest.fixture
+def own_family(monkeypatch):
+    """Codes of the markers' own family only; all families are read in the tests of single frames above."""
+    own = tuple(family for family in aruco.FAMILIES if "DICT_4X4_50" in family)
+    monkeypatch.setattr(aruco, "FAMILIES", own)
+
+
+@pytest.mark.usefixtures("own_family")
 def test_auto_does_not_take_a_code_of_a_single_frame_among_dots_for_a_marker():
     recording = Recording("blob", markers=10, frames=21, **SMALL)
     images = recording.images()
@@ -286,6 +294,7 @@ def test_auto_does_not_take_a_code_of_a_single_frame_among_dots_for_a_marker():
     assert [d.name for d in detect_markers(shown, TrackerSettings())[1].detections] == ["id7"]
 
 
+@pytest.mark.usefixtures("own_family")
 def test_a_code_of_a_single_frame_beside_markers_is_noted_once():
     recording = Recording("aruco", markers=4, frames=21, width_px=240, height_px=140)
     images = recording.images()
@@ -300,11 +309,10 @@ def test_a_code_of_a_single_frame_beside_markers_is_noted_once():
 
 
 @pytest.mark.parametrize("all_families", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_texture_with_the_bits_of_a_code_is_not_a_marker_for_auto(all_families, monkeypatch):
+def test_texture_with_the_bits_of_a_code_is_not_a_marker_for_auto(all_families, request):
     """Bricks, shadows: each cell has the right brightness in its middle, but no cell looks like print."""
     if not all_families:
-        own = tuple(family for family in aruco.FAMILIES if "DICT_4X4_50" in family)
-        monkeypatch.setattr(aruco, "FAMILIES", own)
+        request.getfixturevalue("own_family")
     rng = np.random.default_rng(4)
     images = []
     for image in Recording("blob", markers=10, frames=8, **SMALL).images():

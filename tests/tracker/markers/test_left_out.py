@@ -83,7 +83,9 @@ def test_a_left_out_marker_is_not_taken_for_a_lost_one():
 def test_the_track_has_the_other_markers(tmp_path):
     path = row("aruco").write(tmp_path / "row.mkv")
     region = [list(corner) for corner in around(*POSITIONS[0])]
-    tracks = track(path, TrackerSettings(fps=FPS, leave_out_px=[region]))
+    tracks = track(
+        path, TrackerSettings(fps=FPS, leave_out_px=[region], dictionary="DICT_4X4_50", exposure_s=1e-5)
+    )
     assert isinstance(tracks, MarkerTracks)
     assert len(tracks.markers) == 2
     assert np.nanmin(tracks.x_px) > 60.0

@@ -37,7 +37,7 @@ def test_a_patch_on_a_ball_follows_it_and_not_the_wall(tmp_path):
     """A window as large as the ball: half a period carries it over 300 px of wall, up to 15 px a frame."""
     path = media.write(tmp_path / "a.mkv", ball_images(FRAMES), codec="ffv1")
     settings = TrackerSettings(
-        fps=FPS_BALL, kind="patch", points_px=POINTS_PX, size_px=61.0, patch_shape="round"
+        fps=FPS_BALL, kind="patch", points_px=POINTS_PX, size_px=61.0, patch_shape="round", exposure_s=1e-5
     )
     tracks = track(path, settings, recording="a")
     error = tracks.x_px[:, 0] - ball_x_px(FRAMES)
