@@ -30,8 +30,7 @@ def dependences(rise, seeds):
     for mode in range(5):
         for seed in seeds:
             series, zeta0, zeta1 = decay(mode, rise, seed)
-            # Of one mode: that no second one is found is tested in test_close_modes.py.
-            model = find_modes(prepare(series).data, 1)
+            model = find_modes(prepare(series).data, 8)
             index = int(np.argmax(np.abs(model.fit.linear.amplitudes[:, 0])))
             yield determine_mode(model, index).dependence, zeta0, zeta1
 

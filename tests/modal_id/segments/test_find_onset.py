@@ -37,7 +37,7 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     )
     theory = tuple(PAPER_HZ * np.array([1.01, 1.03, 1.08, 1.07, 1.06]))
     settings = IdentifySettings(
-        mode=mode + 1, expected_frequencies_hz=theory, expected_shapes=clamped_free_shapes(), max_modes=5
+        mode=mode + 1, expected_frequencies_hz=theory, expected_shapes=clamped_free_shapes()
     )
     found = identify(series, settings)
     assert found, found.reason
