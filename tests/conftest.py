@@ -53,10 +53,15 @@ def unmeasured_environment():
     return {name: value for name, value in os.environ.items() if not name.startswith("COV")}
 
 
+def packages_environment():
+    """The same, for a process that imports modalcam and `support`."""
+    return unmeasured_environment() | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+
+
 def compile_kernels():
     """Run `support.compile_kernels`; a failure is reported by the tests."""
-    environment = unmeasured_environment() | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    subprocess.run([sys.executable, "-m", "support.compile_kernels"], env=environment, check=False)
+    command = [sys.executable, "-m", "support.compile_kernels"]
+    subprocess.run(command, env=packages_environment(), check=False)
 
 
 def pytest_collection_modifyitems(items):
@@ -94,6 +99,12 @@ def in_process(monkeypatch):
     from support.worker_tasks import InThisProcess
 
     monkeypatch.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Reports without figures, which take most of their time; for tests of their text or of other files."""
+    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
 
 
 @pytest.fixture(scope="session")
@@ -138,18 +149,18 @@ def decay_run(shared_folder):
 
 @pytest.fixture(scope="session")
 def samples_run(shared_folder):
-    """The output folder of `modalcam paper sample_videos`, which does all that `modalcam run` does.
+    """The output folder of `modalcam paper sample_videos`, which does all that `modalcam run` does but for figures.
 
     ``kernels.txt`` beside it holds numba's report of the compiled kernels that it loaded or saved.
     """
 
     def fill(folder):
-        command = [sys.executable, "-m", "modalcam", "paper", SAMPLES, "-o", folder / "out", "--jobs", "2"]
+        command = [sys.executable, "-m", "support.samples_command", "paper", SAMPLES, "-o", folder / "out"]
         # The shorter runs of other tests measure the coverage; it would double the time of this one.
         done = subprocess.run(
             command,
             cwd=ROOT,
-            env=unmeasured_environment() | {"NUMBA_DEBUG_CACHE": "1"},
+            env=packages_environment() | {"NUMBA_DEBUG_CACHE": "1"},
             capture_output=True,
             text=True,
             timeout=840,

@@ -27,8 +27,8 @@ def write_table(path, frequency_hz=10.0, text="y"):
 
 
 @pytest.fixture
-def identified(in_process, shared_folder, tmp_path, modalcam):
-    """A table and the folder with its results, copied from the one run that all tests share."""
+def identified(in_process, no_figures, shared_folder, tmp_path, modalcam):
+    """A table and its results without figures, copied from the one run that all tests share."""
 
     def fill(folder):
         path = write_table(folder / "decay.csv")
@@ -229,7 +229,7 @@ def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, identified):
         assert content(tmp_path) == before
 
 
-def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, in_process):
+def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, in_process, no_figures):
     out = tmp_path / "out"
     path = write_table(tmp_path / "=cmd.csv", text="=1+1\x1b[2J")
     assert modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')[0] == ExitCode.OK

@@ -26,7 +26,8 @@ ODD = {
 }
 
 
-def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process):
+def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process, no_figures):
+    """Only the process in other surroundings draws the figures: the tables of both are compared."""
     csv = tmp_path / "décay.csv"
     write_csv(csv)
     recording = RecordingConfig(file=csv.name)

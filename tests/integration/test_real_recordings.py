@@ -13,8 +13,8 @@ pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
 @pytest.fixture
-def modalcam(modalcam, in_process):
-    """Commands whose tasks run in this process; test_sample_videos_run.py starts worker processes."""
+def modalcam(modalcam, in_process, no_figures):
+    """Commands whose tasks run in this process, without figures; test_commands.py has worker processes and figures."""
     return modalcam
 
 
@@ -42,12 +42,9 @@ points_px = [[298.0, 102.0]]
 """
 
 
+@pytest.mark.slow  # in the fast suite: the same of this prong, tracked without the command (test_fork_prongs)
 def test_fork_at_its_recorded_rate(modalcam, fork_folder, tmp_path):
-    """31.971 Hz by an independent fit; the amplitude falls by only a fifth: zeta is uncertain.
-
-    Least squares of the positions that Lucas-Kanade follows gives 3.95e-4 without the repeated last frames, and 3.45e-4
-    to 4.3e-4 for single seconds; another analysis of the clip states 3.0e-4.
-    """
+    """31.971 Hz by an independent fit; zeta is uncertain, as test_fork_prongs.py explains."""
     code, _, err = modalcam("run", fork_folder, "-o", tmp_path / "out")
     assert code == 0, err
     row = target_of(tmp_path / "out")
@@ -57,8 +54,7 @@ def test_fork_at_its_recorded_rate(modalcam, fork_folder, tmp_path):
     # At small amplitude, which the clip does not show, the interval is that of the damping of other structures.
     small, sd = float(row["damping_ratio_small_amplitude"]), float(row["damping_ratio_small_amplitude_sd"])
     assert small - 1.645 * sd <= 3.0e-4 <= small + 1.645 * sd
-    # Each GOP of the H.264 file has its own amplitude error of about 0.7 %: the slope over 14 of them then has an sd
-    # of 0.7 % / (3.3 s sqrt(14 / 12)), which is 1e-5 of zeta at 32 Hz.
+    # An amplitude error of each GOP.
     assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} is narrower than this clip allows"
 
 

@@ -3,6 +3,9 @@
 import csv
 import hashlib
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -33,6 +36,18 @@ def rows_of(path):
 
 def target_rows(out):
     return {row["recording"]: row for row in rows_of(out / "modes.csv") if row["target"] == "True"}
+
+
+@pytest.mark.slow  # in the fast suite: figures of a run (test_commands) and of five modes (test_report_html)
+def test_every_figure_of_the_samples_is_drawn(out, tmp_path):
+    """The report of the shared run, which has no figures, is written again by the command."""
+    shutil.copytree(out, tmp_path / "out")
+    (tmp_path / "out" / "report.html").unlink()
+    command = [sys.executable, "-m", "modalcam", "report", tmp_path / "out"]
+    subprocess.run(command, check=True, cwd=ROOT, timeout=500)
+    page = Page((tmp_path / "out" / "report.html").read_text("utf-8"))
+    # Ten figures, a frame, a strip and a shape in motion of each of five recordings, but for a few without data.
+    assert page.tags.count("svg") > 5 * 11
 
 
 def test_every_target_mode_is_found_at_its_true_frequency_and_damping(out, truth):

@@ -26,8 +26,8 @@ from modalcam.execution.local import Limits
 
 
 @pytest.fixture
-def modalcam(modalcam, in_process):
-    """Commands whose tasks run in this process; test_commands.py starts worker processes."""
+def modalcam(modalcam, in_process, no_figures):
+    """Commands whose tasks run in this process, without figures; test_commands.py has worker processes and figures."""
     return modalcam
 
 

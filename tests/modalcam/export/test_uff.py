@@ -147,7 +147,7 @@ def test_a_channel_without_values_is_omitted(tmp_path):
     assert read_uff(tmp_path / "a.uff", name="a", unit="1").channels == ("m0", "m2")
 
 
-@pytest.mark.usefixtures("in_process")
+@pytest.mark.usefixtures("in_process", "no_figures")
 def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff and .csv files of the same series."""
     from modalcam.commands import Options, identify

@@ -52,7 +52,9 @@ def test_markers_that_move_are_those_of_one_frame(tmp_path, kind):
     scene = Recording(kind, frames=32, markers=3, width_px=240, height_px=90, amplitude_px=6.0)
     scene.write(tmp_path / "film.mkv")
     (probe,) = probe_folder(tmp_path, follow_symlinks=False)
-    task = TrialTask(tmp_path / "film.mkv", "film.mkv", TrackerSettings(kind=kind, fps=FPS), 32)
+    # The probe looks for the codes of every dictionary.
+    settings = TrackerSettings(kind=kind, fps=FPS, dictionary="DICT_4X4_50")
+    task = TrialTask(tmp_path / "film.mkv", "film.mkv", settings, 32)
     for markers in (probe.seen.markers, detected(task)):
         assert [m.frame for m in markers] == [0, 0, 0]
         places = np.array([(m.x_px, m.y_px) for m in markers])

@@ -44,7 +44,7 @@ def call(monkeypatch, *args):
     return info.value.code or 0
 
 
-@pytest.mark.usefixtures("in_process")
+@pytest.mark.usefixtures("in_process", "no_figures")
 def test_another_target_in_the_same_folder_is_compared_again(monkeypatch, tmp_path):
     two_modes_table(tmp_path / "two.csv")
     (tmp_path / "c.toml").write_text(

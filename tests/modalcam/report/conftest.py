@@ -43,9 +43,3 @@ def paper_html(paper):
 def hostile_html(build):
     """The report of a run with every hostile name as file, as marker and in every text."""
     return build(runs.hostile_run())
-
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    """No figures: only the text is tested."""
-    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})

@@ -62,7 +62,8 @@ def test_a_second_report_is_identical_and_draws_nothing(tmp_path, drawn):
 
 
 @pytest.mark.usefixtures("toy")
-def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monkeypatch):
+def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monkeypatch, build):
+    """As the report of `build`, whose figures are drawn without workers, here or by other tests of the same run."""
     named = []
     progress = Progress()
     monkeypatch.setattr(progress, "advance", lambda name, *, reused=False: named.append((name, reused)))
@@ -75,7 +76,7 @@ def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monke
         # The worker does not know the figure that only this process has registered: it is the one left to draw.
         draw_figures(result, tmp_path, pool, progress, iter(()))
     assert named[first:] == [("toy", False)]
-    alone = build_report(result)
+    alone = build(result)
     drawn = []
     draw = FigureKind._drawn
     monkeypatch.setattr(FigureKind, "_drawn", lambda self, shown: drawn.append(self.key) or draw(self, shown))
