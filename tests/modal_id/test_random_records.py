@@ -60,6 +60,7 @@ def test_a_random_record_is_not_answered_wrongly(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_random_records_are_not_answered_wrongly_and_rarely_refused():
     wrong, refused, informative = {}, [], 0
     for seed in range(500):
