@@ -19,13 +19,10 @@ import pandas as pd
 
 from benchmarks.coverage_report import BEGIN, END
 from benchmarks.film_scenes import CODECS, FPS, SIZES_PX, Film
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
-from modalcam.storage.cache import Cache
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
+from modalcam.storage import Cache
+from tracker import FailedTracking, MarkerTracks, displacement_series, track
 
 LEVEL = 0.9
 

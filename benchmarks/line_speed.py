@@ -10,10 +10,9 @@ import numpy as np
 
 from benchmarks.line_peers import PEERS, not_run
 from benchmarks.line_scenes import Array, LineScene
-from sim.render.video import write_video
-from tracker.settings import TrackerSettings
-from tracker.track import CALIBRATION_FRAMES, track
-from tracker.video.registry import open_recording
+from sim.render import write_video
+from tracker import CALIBRATION_FRAMES, TrackerSettings, track
+from tracker.video import open_recording
 
 SCENE = LineScene(
     length_px=430.0, clamp_px=(300.3, 20.6), shape=(480, 640), tip_px=(8.0, 2.0), texture=3.0, dark=60.0

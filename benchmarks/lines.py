@@ -19,11 +19,9 @@ import numpy as np
 from benchmarks.line_peers import PEERS, not_run, peer_errors
 from benchmarks.line_scenes import CODECS, Array, LineScene, bound_px
 from benchmarks.line_speed import speed
-from sim.render.video import write_video
-from tracker.line.calibrate import EDGE_FLANK_PX
-from tracker.results import MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.render import write_video
+from tracker import MarkerTracks, TrackerSettings, track
+from tracker.line import EDGE_FLANK_PX
 
 FRAMES, FPS = 96, 1000.0
 WIDE = {"shape": (360, 300)}

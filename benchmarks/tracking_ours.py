@@ -10,17 +10,19 @@ import av
 import numpy as np
 
 from benchmarks.tracking_scenes import FPS, Recording
-from tracker.arrays import FloatArray, GrayImage
-from tracker.follow.follower import Follower
-from tracker.markers.base import NothingFound
-from tracker.markers.registry import detect_markers
-from tracker.register.calibrate_marker import calibrate
-from tracker.register.calibration_frames import CalibrationFrames
-from tracker.register.marker import Camera
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.template.noise import estimate_noise
-from tracker.track import CALIBRATION_FRAMES, track
+from tracker import (
+    CALIBRATION_FRAMES,
+    FailedTracking,
+    FloatArray,
+    GrayImage,
+    MarkerTracks,
+    TrackerSettings,
+    track,
+)
+from tracker.follow import Follower
+from tracker.markers import NothingFound, detect_markers
+from tracker.register import CalibrationFrames, Camera, calibrate
+from tracker.template import estimate_noise
 
 
 def settings_of(recording: Recording) -> TrackerSettings:

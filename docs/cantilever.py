@@ -13,18 +13,25 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT)]
 
-from modal_id.identify import identify  # noqa: E402
-from modal_id.results import IdentifiedMode  # noqa: E402
-from modal_id.settings import IdentifySettings  # noqa: E402
-from sim.beam.ancf import AncfBeam  # noqa: E402
-from sim.beam.modes import beam_modes  # noqa: E402
-from sim.beam.properties import BeamProperties, ElasticClamp, Orientation, PointMass  # noqa: E402
-from tracker.results import DisplacementSeries  # noqa: E402
+from modal_id import (  # noqa: E402
+    IdentifiedMode,
+    IdentifySettings,
+    identify,
+)
+from sim.beam import (  # noqa: E402
+    AncfBeam,
+    BeamProperties,
+    ElasticClamp,
+    Orientation,
+    PointMass,
+    beam_modes,
+)
+from tracker import DisplacementSeries  # noqa: E402
 
 PAGE = Path(__file__).with_name("cantilever.md")
 WIDTH_M, THICKNESS_M, DENSITY_KG_M3, POISSON = 50.8e-3, 2.03e-3, 2700.0, 0.33

@@ -7,9 +7,8 @@ from typing import Any
 
 import typer
 
-from modalcam.cli.app import app
-from modalcam.cli.options import CONFIG_HELP
-from modalcam.config.reference import option
+from modalcam.cli import CONFIG_HELP, app
+from modalcam.config import option
 
 
 def _cell(text: str) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modal_id.flags import ModeFlag
-from modalcam.report.build import report_terms
-from tracker.flags import REGISTRY as FRAME_FLAGS
-from tracker.severity import Severity
+from modal_id import ModeFlag
+from modalcam.report import report_terms
+from tracker import REGISTRY as FRAME_FLAGS
+from tracker import Severity
 
 # Terms that the report does not use, in alphabetical order.
 CODE_TERMS = {

@@ -24,14 +24,19 @@ from docs.reference_solutions import (  # noqa: E402
     rayleigh_ritz_hz,
     small_decay,
 )
-from sim.beam.ancf import AncfBeam  # noqa: E402
-from sim.beam.modes import beam_modes  # noqa: E402
-from sim.beam.statics import static_equilibrium  # noqa: E402
+from sim.beam import (  # noqa: E402
+    AncfBeam,
+    beam_modes,
+    static_equilibrium,
+)
 from sim.damping import DampingModel, GenericDamping, NoDamping, RayleighDamping  # noqa: E402
-from sim.dynamics.excitation import released_state  # noqa: E402
-from sim.dynamics.simulate import simulate  # noqa: E402
-from sim.dynamics.trajectory import FailedSimulation, Trajectory  # noqa: E402
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
+from sim.dynamics import (  # noqa: E402
+    FailedSimulation,
+    Trajectory,
+    released_state,
+    simulate,
+)
+from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
 
 PAGE = Path(__file__).with_name("verification.md")
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0

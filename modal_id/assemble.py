@@ -7,38 +7,35 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.data.prepare import Prepared, listed
-from modal_id.data.samples import FitData
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import StabilityDiagram, stability_diagram
+from modal_id.data import FitData, Prepared, listed
+from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
-from modal_id.modes.converted_rate import conversion
-from modal_id.modes.decays import FittedDecay
-from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
-from modal_id.modes.no_modes import combination_tones, not_established, within_errors
-from modal_id.modes.numbering import (
+from modal_id.modes import (
+    MANY_OUTLIERS,
+    FittedDecay,
     Numbering,
     TargetChoice,
+    amplitude_sd,
     choose_target_of,
+    combination_tones,
+    conversion,
+    mode_flags,
+    moving_channels,
+    not_established,
     number_modes,
+    outlier_share,
     rejected_modes,
+    repeating_shape_sd,
+    severities,
     shape_disagreement,
+    within_errors,
 )
-from modal_id.modes.severities import severities
-from modal_id.modes.shape_errors import repeating_shape_sd
-from modal_id.modes.shapes import amplitude_sd, moving_channels
-from modal_id.pieces.spread import mean_scatter_rad_s
-from modal_id.posterior.mode_posterior import SampledMode, sample_mode
-from modal_id.posterior.noise import channel_noise_level, noise_level
+from modal_id.pieces import mean_scatter_rad_s
+from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_mode
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import ModeColumns, motion
-from tracker.arrays import BoolArray, FloatArray
-from tracker.results import DisplacementSeries
+from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
+from tracker import BoolArray, DisplacementSeries, FloatArray
 
 # Half-width of the band of a driven line in bins of 1 / span; outer edge of the band of the noise beside it in these
 # half-widths.

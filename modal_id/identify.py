@@ -7,26 +7,38 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.assemble import assemble, assemble_driven
-from modal_id.data.held import in_all_rows, of_rows, sampled_rows
-from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
-from modal_id.data.projection import project
-from modal_id.data.samples import rough_variance
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.data import (
+    MIN_SAMPLES,
+    Prepared,
+    in_all_rows,
+    of_rows,
+    prepare,
+    project,
+    rough_variance,
+    sampled_rows,
+    with_base,
+)
+from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.flags import ModeFlag
-from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
-from modal_id.pieces.fit_decays import fit_decays
-from modal_id.posterior.frame_rate import with_rate_error
+from modal_id.modes import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
+from modal_id.pieces import fit_decays
+from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.results import FailedIdentification, FittedMode, Identification, IdentifiedMode
-from modal_id.segments.divide import Decay, RecordParts, divide
-from modal_id.segments.find_onset import no_onset, record_start, user_onset
-from modal_id.segments.narrate import seen, whole_record
-from modal_id.segments.steadiness import STEADY_SD
+from modal_id.segments import (
+    STEADY_SD,
+    Decay,
+    RecordParts,
+    divide,
+    no_onset,
+    record_start,
+    seen,
+    user_onset,
+    whole_record,
+)
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.results import DisplacementSeries
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import DisplacementSeries
 
 _SHORT = (
     "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "

@@ -20,14 +20,11 @@ from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Table, axes_or_new
-from modal_id.record import FittingRate as FittingRate  # noqa: PLC0414 - re-exported
-from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
-from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.record import FittingRate, Onset, Segment
+from tracker import BoolArray, ComplexArray, FloatArray, Severity
 
 # The series is part of an identification; packages that use results import it from here.
-from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
-from tracker.severity import Severity
+from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from modalcam.api import track as track
     from modalcam.errors import IdentificationError as IdentificationError
     from modalcam.errors import TrackingError as TrackingError
-    from modalcam.pipeline.saved import load_run as load_run
+    from modalcam.pipeline import load_run as load_run
     from modalcam.planning.plan import plan as plan
-    from sim.beam.beam import Beam as Beam
-    from sim.beam.beam import natural_modes as modes
+    from sim.beam import Beam as Beam
+    from sim.beam import natural_modes as modes
     from sim.damping import GenericDamping as GenericDamping
     from sim.damping import RayleighDamping as RayleighDamping
-    from sim.dynamics.free_decay import SimulationError as SimulationError
-    from sim.dynamics.free_decay import simulate_free_decay as simulate
+    from sim.dynamics import SimulationError as SimulationError
+    from sim.dynamics import simulate_free_decay as simulate
 
 __version__ = "0.1.0"
 

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from modalcam.errors import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
-    from modal_id.results import Identification
-    from modalcam.execution.pool import Progress as RunProgress
-    from modalcam.pipeline.results import RunResult
-    from sim.beam.modes import BeamModes
-    from tracker.follow.follow_recording import Progress
-    from tracker.results import DisplacementSeries, MarkerTracks
+    from modal_id import Identification
+    from modalcam.execution import Progress as RunProgress
+    from modalcam.pipeline import RunResult
+    from sim.beam import BeamModes
+    from tracker import DisplacementSeries, MarkerTracks
+    from tracker.follow import Progress
 
 
 def track(
@@ -67,10 +67,12 @@ def track(
     >>> len(tracks.markers)
     6
     """
-    from tracker.results import FailedTracking  # noqa: PLC0415
-    from tracker.settings import TrackerSettings  # noqa: PLC0415
-    from tracker.settings_base import parse_fps  # noqa: PLC0415 - loaded when used
-    from tracker.track import track as track_recording  # noqa: PLC0415
+    from tracker import (  # noqa: PLC0415
+        FailedTracking,
+        TrackerSettings,
+        parse_fps,
+    )
+    from tracker import track as track_recording  # noqa: PLC0415
 
     rate = None if fps is None else parse_fps(fps)
     settings = TrackerSettings(fps=rate, mm_per_px=mm_per_px, **options)
@@ -114,7 +116,7 @@ def displacement(
     >>> series.unit, series.values.shape
     ('mm', (1301, 6))
     """
-    from tracker.displacement import displacement_series  # noqa: PLC0415
+    from tracker import displacement_series  # noqa: PLC0415
 
     if not np.isfinite(tracks.x_px).any():
         msg = f"{tracks.recording}: no marker was detected in any frame"
@@ -195,11 +197,13 @@ def identify(
     >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
     (10.0, 1.0)
     """
-    from modal_id.identify import identify as identify_series  # noqa: PLC0415
-    from modal_id.results import FailedIdentification  # noqa: PLC0415
-    from modal_id.settings import IdentifySettings  # noqa: PLC0415
-    from modalcam.config.resolve import expected_of_theory  # noqa: PLC0415
-    from tracker.results import DisplacementSeries  # noqa: PLC0415
+    from modal_id import (  # noqa: PLC0415
+        FailedIdentification,
+        IdentifySettings,
+    )
+    from modal_id import identify as identify_series  # noqa: PLC0415
+    from modalcam.config import expected_of_theory  # noqa: PLC0415
+    from tracker import DisplacementSeries  # noqa: PLC0415
 
     if not isinstance(series, DisplacementSeries):
         series = _series(series, y, unit, positions_mm)
@@ -230,7 +234,7 @@ def identify(
 def _series(
     t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None
 ) -> DisplacementSeries:
-    from tracker.results import DisplacementSeries  # noqa: PLC0415
+    from tracker import DisplacementSeries  # noqa: PLC0415
 
     if y is None:
         msg = "identify takes a DisplacementSeries, or times and values; found no values"
@@ -316,8 +320,8 @@ def run(
     """
     from modalcam.commands import Options  # noqa: PLC0415
     from modalcam.commands import run as run_folder  # noqa: PLC0415
-    from modalcam.execution.pool import Progress  # noqa: PLC0415
-    from tracker.settings_base import parse_fps  # noqa: PLC0415
+    from modalcam.execution import Progress  # noqa: PLC0415
+    from tracker import parse_fps  # noqa: PLC0415
 
     options = Options(
         out=Path(out),

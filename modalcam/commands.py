@@ -15,25 +15,35 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_config
+from modalcam.config import (
+    CONFIG_NAME,
+    ExperimentConfig,
+    RecordingConfig,
+    load_config,
+    parse_recording,
+    raw_config,
+)
 from modalcam.errors import InputError
-from modalcam.execution.dask import cluster_pool
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, WorkerPool, worker_pool
-from modalcam.inputs.discover import Discovery, Selection, discover
+from modalcam.execution import Limits, Progress, WorkerPool, cluster_pool, worker_pool
+from modalcam.inputs import Discovery, Selection, discover
 from modalcam.names import recording_names, shown
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.saved import MEASURED, load_recording, load_run
-from modalcam.pipeline.stage import Context
+from modalcam.pipeline import MEASURED, Context, RecordingResult, RunResult, load_recording, load_run
 from modalcam.plugins import OUR_PACKAGES, load_plugins
-from modalcam.storage.cache import Cache, digest
-from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
-from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
+from modalcam.storage import (
+    Cache,
+    Outputs,
+    RememberedHashes,
+    RunRecord,
+    Workspace,
+    code_state,
+    digest,
+    file_sha256,
+    stage_key,
+)
 
 if TYPE_CHECKING:
-    from modalcam.pipeline.all_stages import Measured
-    from modalcam.report.build import Plots
+    from modalcam.pipeline import Measured
+    from modalcam.report import Plots
 
 _HashOf = Callable[[Path], str | None]
 
@@ -92,14 +102,16 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     if not options.force and _is_up_to_date(options.out, key):
         progress.note("up to date")
         return load_run(options.out)
-    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import duplicates, hashed  # noqa: PLC0415 - heavy
 
     config, recordings, notes = _find(folder, options, only)
     name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings, meanwhile=_load_stages())
-        from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
-        from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
+        from modalcam.pipeline import (  # noqa: PLC0415
+            compile_for,
+            measure,
+        )
 
         compile_for(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
@@ -109,12 +121,15 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
-    from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.all_stages import completed  # noqa: PLC0415
-    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
-    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415
-    from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
-    from tracker.results import MarkerTracks  # noqa: PLC0415
+    from modalcam.export import write_tracks  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import (  # noqa: PLC0415
+        compile_for,
+        completed,
+        duplicates,
+        hashed,
+        track_recordings,
+    )
+    from tracker import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
     folder, only = _folder_of(target)
@@ -148,9 +163,11 @@ def identify(
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
     """
-    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
-    from modalcam.pipeline.motion_of import motion_of  # noqa: PLC0415
+    from modalcam.pipeline import (  # noqa: PLC0415
+        compile_for,
+        measure,
+        motion_of,
+    )
 
     load_plugins(options.plugins)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
@@ -177,8 +194,10 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
     A configuration in `options` replaces that of the run, for instance with other properties of the beam. InputError
     if OUT holds no run, or one without a saved identification.
     """
-    from modalcam.pipeline.all_stages import Measured  # noqa: PLC0415
-    from modalcam.pipeline.update import beam_theory  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import (  # noqa: PLC0415
+        Measured,
+        beam_theory,
+    )
 
     load_plugins(options.plugins)
     workspace = Workspace(options.out)
@@ -232,7 +251,7 @@ def _find(
     folder: Path, options: Options, only: str | None
 ) -> tuple[ExperimentConfig, list[RecordingResult], tuple[str, ...]]:
     """Configuration, recordings and notes on the folder; with `only`, that recording alone."""
-    from tracker.results import FailedTracking  # noqa: PLC0415 - heavy
+    from tracker import FailedTracking  # noqa: PLC0415 - heavy
 
     found = _discovered(folder, options, only)
     path = options.config if options.config is not None else folder / CONFIG_NAME
@@ -349,7 +368,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
 def _finish(
     ctx: Context, options: Options, measured: Measured, record: RunRecord, key: str = ""
 ) -> RunResult:
-    from modalcam.pipeline.all_stages import simulate as simulate_stages  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import simulate as simulate_stages  # noqa: PLC0415 - heavy
 
     result, record = simulate_stages(ctx, measured, record)
     ctx.workspace.write_record(record)
@@ -372,12 +391,17 @@ def _write_files(
 
     Figures are drawn by the processes of `pool` where there is one, while this process writes the files without them.
     """
-    from modalcam.export.base import Output  # noqa: PLC0415 - heavy
-    from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
-    from modalcam.report.build import build_report  # noqa: PLC0415
-    from modalcam.report.drawing import draw_figures  # noqa: PLC0415
-    from modalcam.report.style.environment import compiled_templates  # noqa: PLC0415
-    from modalcam.storage.atomic import write_text  # noqa: PLC0415
+    from modalcam.export import (  # noqa: PLC0415
+        Output,
+        outputs,
+        with_missing_formats,
+    )
+    from modalcam.report import (  # noqa: PLC0415
+        build_report,
+        draw_figures,
+    )
+    from modalcam.report.style import compiled_templates  # noqa: PLC0415
+    from modalcam.storage import write_text  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
     if options.force:

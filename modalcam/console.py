@@ -23,19 +23,17 @@ from rich.segment import Segments
 from rich.table import Column, Table
 from rich.text import Text
 
-from modal_id.flags import QUOTED, quoted_note
-from modal_id.record import FittingRate
+from modal_id import QUOTED, FittingRate, quoted_note
 from modalcam.errors import ExitCode
-from modalcam.execution.pool import Progress
+from modalcam.execution import Progress
 from modalcam.names import for_terminal, natural_key, shown
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.style.format import count, interval, with_sd
-from modalcam.storage.atomic import write_text
-from modalcam.storage.output_folder import Workspace
-from tracker.severity import Severity
+from modalcam.pipeline import RecordingResult
+from modalcam.report.style import count, interval, with_sd
+from modalcam.storage import Workspace, write_text
+from tracker import Severity
 
 if TYPE_CHECKING:
-    from tracker.results import MarkerTracks
+    from tracker import MarkerTracks
 
 # Flags of modes whose values at small amplitude differ from those of the table, or have a larger sd.
 _OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
@@ -239,7 +237,7 @@ def _warn_of_cut(console: Console, recording: dict[str, Any], reason: str) -> No
     complete = not decode or decode["frames_declared"] <= decode["frames_decoded"]
     if complete or reason.startswith("the file is cut off"):
         return
-    from tracker.results import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
+    from tracker import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
 
     fps = None if _rate_is_guessed(recording) else tracking["time_axis"]["fps_recorded"]
     if cut := DecodeReport(**decode).cut_off(fps):
@@ -276,7 +274,7 @@ def tracked(
     quiet: bool = False,
 ) -> ExitCode:
     """Print the outcome of tracking, with `quiet` failures and warnings only; returns the exit code."""
-    from tracker.markers.registry import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
+    from tracker.markers import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
 
     for recording in recordings:
         axis = None

@@ -7,23 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from modal_id.results import Identification
+from modal_id import Identification
 from modalcam.commands import Options, opened
-from modalcam.config.resolve import random_words
+from modalcam.config import random_words
 from modalcam.errors import InputError, ModalcamError
-from modalcam.execution.pool import Progress
+from modalcam.execution import Progress
 from modalcam.names import shown
-from modalcam.pipeline.beam import generic_damping, measured_damping
-from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.results import RecordingResult
-from modalcam.pipeline.update import update_beam
-from modalcam.storage.atomic import replacing
-from modalcam.video.film_beam import PLAYBACK_FPS
-from modalcam.video.results import KeptFrames, NoFootage
-from modalcam.video.simulated_footage import simulated_scene
-from sim.render.frames import render_frames
-from sim.render.video import Codec, write_video
-from tracker.results import MarkerTracks
+from modalcam.pipeline import RecordingResult, generic_damping, measured_damping, measured_modes, update_beam
+from modalcam.storage import replacing
+from modalcam.video import PLAYBACK_FPS, KeptFrames, NoFootage, simulated_scene
+from sim.render import Codec, render_frames, write_video
+from tracker import MarkerTracks
 
 
 def film_run(options: Options, name: str | None, path: Path, progress: Progress) -> int:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.dynamics.free_decay import simulate_free_decay
-from sim.reference.paper_beam import paper_beam
-from sim.render.camera import Camera
-from sim.render.frames import render_frames
-from sim.render.markers import DotMarker
-from sim.render.motion import Poses
-from sim.render.scene import Scene, Strip
-from tracker.arrays import FloatArray
+from sim.dynamics import simulate_free_decay
+from sim.reference import paper_beam
+from sim.render import Camera, DotMarker, Poses, Scene, Strip, render_frames
+from tracker import FloatArray
 
 _DAMPING_RATIO, _TIP_MM, _DURATION_S, _STEP_S = 0.005, 5.0, 0.01, 5e-4
 _WIDTH_PX, _HEIGHT_PX = 64, 48

@@ -135,7 +135,7 @@ def decay_run(shared_folder):
     from support.worker_tasks import InThisProcess
 
     from modalcam.commands import Options, run
-    from modalcam.execution.pool import Progress
+    from modalcam.execution import Progress
 
     def fill(folder):
         (folder / "videos").mkdir()

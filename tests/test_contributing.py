@@ -11,8 +11,7 @@ from pydantic import ValidationError, create_model
 from support.decay_clip import EXPERIMENT, FPS, FRAMES, HEIGHT, WIDTH, swing_px
 from support.paths import ROOT
 
-from modalcam.config.reference import commented_toml, markdown
-from modalcam.config.schema import BeamConfig, ExperimentConfig
+from modalcam.config import BeamConfig, ExperimentConfig, commented_toml, markdown
 
 PLUGINS = ("squares", "mean_ratio", "npy_reader", "frequencies")
 SETTINGS = EXPERIMENT.replace('"blob"', '"square"') + '[damping]\nmodels = ["generic", "mean_ratio"]\n'

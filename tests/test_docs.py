@@ -11,8 +11,8 @@ import pytest
 import typer
 from support.paths import ROOT
 
-from modalcam.cli.app import app
-from modalcam.config.schema import ExperimentConfig
+from modalcam.cli import app
+from modalcam.config import ExperimentConfig
 
 DOCS = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)

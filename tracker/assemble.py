@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from tracker import flags
 from tracker.arrays import BoolArray, FloatArray, IntArray
-from tracker.follow.follow_recording import FollowedFrames
-from tracker.follow.repeated_frames import repeated_frames
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.geometry.scale import SizedMarker, resolve_scale
-from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
-from tracker.geometry.view import median_over_time
-from tracker.markers.base import JointCalibration
-from tracker.register.calibrate_recording import Calibration
-from tracker.register.fixed_point import fixed_point_px
-from tracker.register.marker import MarkerModel
-from tracker.register.moving_object import with_motion_errors
+from tracker.follow import FollowedFrames, repeated_frames
+from tracker.geometry import (
+    NoTimeAxis,
+    SizedMarker,
+    TimeAxis,
+    median_over_time,
+    resolve_scale,
+    resolve_time_axis,
+)
+from tracker.markers import JointCalibration
+from tracker.register import Calibration, MarkerModel, fixed_point_px, with_motion_errors
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.template.compression import series_sd
-from tracker.video.base import SourceInfo
+from tracker.template import series_sd
+from tracker.video import SourceInfo
 
 # A larger share of repeated frames indicates a converter.
 DUPLICATES_WORTH_A_NOTE = 0.02

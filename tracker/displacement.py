@@ -6,15 +6,14 @@ import numpy as np
 
 from tracker import flags
 from tracker.arrays import FloatArray
-from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.geometry.view import Positions, median_over_time
-from tracker.line.hidden import hidden_motion
+from tracker.geometry import Positions, median_over_time, row_delay_s, to_common_time
+from tracker.line import hidden_motion
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
 from tracker.scale_change import ScaleChange, possible_zoom, scale_change
 from tracker.slow_motion import MarkersInFrames
-from tracker.template.compression import largest_sd
+from tracker.template import largest_sd
 from tracker.vibration_direction import component, stronger_across, vibration_direction
 
 # Error of the points about which markers seem to grow, relative and in px: of codes and dots in rendered films.

@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 
 from tracker.arrays import FlagArray, FloatArray, IntArray
 from tracker.flags import format_flags
-from tracker.geometry.lens import Lens
-from tracker.geometry.plane import PlaneMap
-from tracker.geometry.scale import Scale
-from tracker.geometry.time_axis import TimeAxis
-from tracker.geometry.view import Positions, median_over_time, rectified
+from tracker.geometry import Lens, PlaneMap, Positions, Scale, TimeAxis, median_over_time, rectified
 from tracker.position_errors import PositionErrors
 from tracker.scale_change import ScaleChange
 
@@ -33,9 +29,7 @@ __all__ = [
     "FailedTracking",
     "FrameStrip",
     "MarkerTracks",
-    "PositionErrors",
     "Scale",
-    "ScaleChange",
     "TimeAxis",
 ]
 

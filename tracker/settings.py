@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tracker.geometry.lens import Lens
-from tracker.geometry.time_axis import MAX_RATE_SD_PPM
+from tracker.geometry import MAX_RATE_SD_PPM, Lens
 from tracker.settings_base import Finite, Fps, Length, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
@@ -25,7 +24,7 @@ _NAME = re.compile(rf"[A-Za-z](?:[A-Za-z0-9 _.-]{{0,{_LONGEST_NAME - 2}}}[A-Za-z
 def _kind(value: object) -> str:
     if value != "auto":
         # Detectors are slow to load, and few recordings name a kind.
-        from tracker.markers.registry import marker_kind  # noqa: PLC0415
+        from tracker.markers import marker_kind  # noqa: PLC0415
 
         marker_kind(str(value))
     return str(value)
@@ -33,7 +32,7 @@ def _kind(value: object) -> str:
 
 def _known_kinds(schema: dict[str, Any]) -> None:
     """Complete the JSON schema of `kind` with the registered kinds, from which the documentation is generated."""
-    from tracker.markers.registry import AUTO, MARKER_KINDS  # noqa: PLC0415
+    from tracker.markers import AUTO, MARKER_KINDS  # noqa: PLC0415
 
     schema["enum"] = [*MARKER_KINDS, AUTO]
 
@@ -42,7 +41,7 @@ def _dictionary(value: object) -> str:
     if value == "auto":
         return "auto"
     # OpenCV is slow to load, and few recordings name a dictionary.
-    from tracker.markers.codes import dictionary_names  # noqa: PLC0415
+    from tracker.markers import dictionary_names  # noqa: PLC0415
 
     names = dictionary_names()
     if value not in names:
@@ -215,7 +214,7 @@ class TrackerSettings(MarkerOptions, CameraOptions, Settings):
     @model_validator(mode="after")
     def _kind_has_its_settings(self) -> Any:
         if self.kind != "auto":
-            from tracker.markers.registry import marker_kind  # noqa: PLC0415 - as above
+            from tracker.markers import marker_kind  # noqa: PLC0415 - as above
 
             missing = marker_kind(self.kind).missing_setting(self)
             if missing is not None:

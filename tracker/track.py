@@ -11,19 +11,27 @@ import numpy as np
 
 from tracker.arrays import GrayImage
 from tracker.assemble import TrackedMarkers, assemble, from_joint, from_templates
-from tracker.follow.follow_recording import Progress, follow_recording
-from tracker.follow.follower import Follower
-from tracker.markers.base import FoundMarkers, FrameFollower, MarkerDetector, NothingFound
-from tracker.markers.proposals import propose_points
-from tracker.markers.registry import detect_markers
-from tracker.register.calibrate_recording import calibrate_all, initial_camera
-from tracker.register.saturated import without_edges
+from tracker.follow import Follower, Progress, follow_recording
+from tracker.markers import (
+    FoundMarkers,
+    FrameFollower,
+    MarkerDetector,
+    NothingFound,
+    detect_markers,
+    propose_points,
+)
+from tracker.register import calibrate_all, initial_camera, without_edges
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
-from tracker.video.gray import to_8_bit
-from tracker.video.prefetch import prefetched
-from tracker.video.registry import open_recording
+from tracker.video import (
+    Frame,
+    FrameSource,
+    SourceInfo,
+    UnreadableVideoError,
+    open_recording,
+    prefetched,
+    to_8_bit,
+)
 
 # Frames from which templates and noise are calibrated: enough to average out noise, few enough for memory.
 CALIBRATION_FRAMES = 64

@@ -7,10 +7,9 @@ import numpy as np
 from modal_id.curve.law_fit import LawFit
 from modal_id.curve.laws import CONSTANT, PowerLaw, SaturatingLaw, SplineLaw, StiffnessLaw
 from modal_id.curve.track import ANGULAR_CHANGE, DECAY_CHANGE, Track, follow
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.fit import ModalFit, own_decay
 from modal_id.results import AmplitudeCurve
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Prior standard deviations of the changes of decay rate and frequency over all amplitudes, relative to the rates; of
 # power laws and the saturating law.

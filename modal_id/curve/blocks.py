@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import Problem
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import Problem
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # Cycles in the shortest block, and the largest number of blocks.
 _CYCLES = 2.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from modal_id.curve.laws import Law
 from modal_id.curve.quadrature import LawDecay, decay_of_law
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from modal_id.curve.laws import Law, Rates
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Points of the quadrature; the trapezoidal rule then errs by about 1e-5 in ln a and in the phase in radians.
 _POINTS = 800

@@ -10,10 +10,9 @@ from modal_id.curve.blocks import split_into_blocks
 from modal_id.curve.law_fit import LawFit, fit_law
 from modal_id.curve.laws import Law, SplineLaw
 from modal_id.curve.quadrature import wave_of_law
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import frequency_hz, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.fit import ModalFit
+from modal_id.solve import Problem, frequency_hz, own_problem
+from tracker import ComplexArray, FloatArray
 
 _LEAST_BLOCKS = 12
 # Blocks are used up to the first whose amplitude is below this many standard deviations.

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # The baseline contains frequencies up to this fraction of the lowest mode's, and at first up to the ceiling, which
 # `modal_id.fit.drift` may raise.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modal_id.data.repeats import repeated_rows
 from modal_id.flags import ModeFlag
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries
 
 # Share of the distances between samples that are a multiple of the usual one: longer where two samples are equal. A
 # clock that is no whole multiple of the other's has two distances, and equal samples of a coarse converter have any.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Of a pause in steps, relative to the number of samples.
 _LONG = 10.0

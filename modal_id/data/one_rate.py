@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from modal_id.data.samples import runs
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # The rate at a sample is the median over `_STEPS` means, of `_AVERAGED` steps each: the means even out rounded time
 # stamps, and gaps do not count in the median.

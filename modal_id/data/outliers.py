@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.data.samples import FitData
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # In standard deviations estimated from the median absolute deviation: one good sample in two million is rejected.
 _LIMIT = 5.0

@@ -12,8 +12,7 @@ from modal_id.data.one_rate import longest_at_one_rate
 from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData
 from modal_id.data.saturation import last_saturated_row
-from tracker.arrays import BoolArray, FloatArray
-from tracker.results import DisplacementSeries
+from tracker import BoolArray, DisplacementSeries, FloatArray
 
 MIN_SAMPLES = 12
 _MIN_FINITE = 0.3

@@ -10,7 +10,7 @@ from scipy.special import gammainc, gammaincinv
 from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.prepare import Prepared, Projection
 from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Fewer channels are fitted directly.
 MOST_DIRECT = 16

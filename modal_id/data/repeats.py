@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from modal_id.data.samples import runs
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # A repetition differs from the row before by less than these shares of a typical step and of a typical second
 # difference, which is that of the noise where the motion is slow.

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from modal_id.data.samples import runs
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _MIN_RUN = 4
 _MIN_RUNS = 2

@@ -9,11 +9,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.normal_equations import normal_equations, slope_weights
-from modal_id.solve.poles import PoleFit, objective, own_problem, thinning
-from modal_id.solve.waves import Beside, ModeColumns, no_columns, real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    Beside,
+    LinearSolution,
+    ModeColumns,
+    PoleFit,
+    Problem,
+    no_columns,
+    normal_equations,
+    objective,
+    own_problem,
+    real_columns,
+    slope_weights,
+    solve_linear,
+    thinning,
+)
+from tracker import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 25
 _MAX_HALVINGS = 8

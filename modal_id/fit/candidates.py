@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.fit.spectrum import ResidualSpectrum, least_level, local_level, residual_spectrum
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # A mode that decays early is detectable in the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625, 0.0156, 0.0039)

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
-from modal_id.solve.linear import LinearSolution, Problem
-from modal_id.solve.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
-from tracker.arrays import ComplexArray
+from modal_id.solve import LinearSolution, PoleFit, Problem, frequency_hz, gauss_newton, own_problem, thinning
+from tracker import ComplexArray
 
 # Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
 # rest.

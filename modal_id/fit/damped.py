@@ -10,14 +10,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData, rough_variance
+from modal_id.data import FitData, bandwidth_hz, baseline_splines, rough_variance
 from modal_id.fit.candidates import Candidate
 from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
-from modal_id.solve.waves import ModeColumns, no_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    LinearSolution,
+    ModeColumns,
+    PoleFit,
+    Problem,
+    damping_ratio,
+    fit_poles,
+    frequency_hz,
+    no_columns,
+    objective,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray, FloatArray
 
 MAX_DAMPING = 0.7
 # Random walks, creep and coloured noise reach a score of 3; in a record of fewer than five cycles of the fitted mode up

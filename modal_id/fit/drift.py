@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.baseline import RELATIVE_BANDWIDTH
+from modal_id.data import RELATIVE_BANDWIDTH
 from modal_id.fit.spectrum import ResidualSpectrum
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # Share of the noise level at a mode that slow motion may contribute.
 _LEAK = 0.02

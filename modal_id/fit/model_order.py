@@ -10,18 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData, rough_variance
+from modal_id.data import RELATIVE_BANDWIDTH, FitData, bandwidth_hz, baseline_splines, rough_variance
 from modal_id.fit.candidates import Band, Candidate, candidates
 from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.outlier_search import without_outliers
 from modal_id.fit.spectrum import ResidualSpectrum, nyquist_hz, residual_spectrum
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
-from modal_id.solve.waves import no_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    PoleFit,
+    Problem,
+    damping_ratio,
+    fit_poles,
+    frequency_hz,
+    no_columns,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray, FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 OWN_BAND = 0.03

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.fit.candidates import Band, highest_near
 from modal_id.fit.model_order import (
     BASELINE_GUARD,
@@ -24,10 +23,18 @@ from modal_id.fit.model_order import (
     with_line,
 )
 from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
-from modal_id.solve.waves import ModeColumns, no_columns
-from tracker.arrays import ComplexArray
+from modal_id.solve import (
+    ModeColumns,
+    PoleFit,
+    Problem,
+    damping_ratio,
+    frequency_hz,
+    no_columns,
+    objective,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray
 
 # A frequency is named to this share of it, and to this many bins of 1 / span.
 _NAMED = 0.01

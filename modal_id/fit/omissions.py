@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.prepare import Projection
+from modal_id.data import Projection
 from modal_id.fit.model_order import ModalFit, refit
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from tracker import ComplexArray, FloatArray, PositionErrors
 
 # Amplitudes below this number of the sd of the shrinkage shrink in proportion: no motion is reversed.
 _LEAST = 4.0

@@ -6,13 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.outliers import limited, reject_outliers
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, limited, reject_outliers
 from modal_id.fit.candidates import Band, candidates
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import damping_ratio, frequency_hz, rough_poles
-from modal_id.solve.waves import ModeColumns, motion
-from tracker.arrays import FloatArray
+from modal_id.solve import (
+    LinearSolution,
+    ModeColumns,
+    Problem,
+    damping_ratio,
+    frequency_hz,
+    motion,
+    rough_poles,
+    solve_linear,
+)
+from tracker import FloatArray
 
 _MOST_LINES = 4
 # Half-width of the band about a removed line in which no other is looked for, and reach of its fit, relative to its

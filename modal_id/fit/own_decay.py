@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import frequency_hz, thinning
-from modal_id.solve.waves import ModeColumns, motion
+from modal_id.solve import ModeColumns, Problem, frequency_hz, motion, solve_linear, thinning
 
 # Averages a cycle relative to those of `thinning`.
 _FINER = 4.0 / 3.0

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from modal_id.data.prepare import Projection
+from modal_id.data import Projection
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.omissions import Omissions, frame_steps
-from modal_id.solve.poles import pole_slopes
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from modal_id.solve import pole_slopes
+from tracker import ComplexArray, FloatArray, PositionErrors
 
 # The shrinkage by a codec is a smooth function of asinh(amplitude / (this number * its sd)), the logarithm of large
 # amplitudes, and hardly changes below this number of sd. Correlation length in that variable, spacing of knots.

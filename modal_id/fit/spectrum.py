@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.fft import fft, next_fast_len, rfft
 from scipy.special import gammaincinv
 
-from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from tracker import FloatArray
 
 # Largest distance of an even sample from its place, in steps.
 _EVEN = 1e-3

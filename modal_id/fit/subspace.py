@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, svd
 
-from modal_id.data.samples import FitData
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
 _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240

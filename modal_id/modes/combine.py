@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.special import chdtrc, chdtri
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 DISAGREE = 0.01
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from modal_id.fit.model_order import ModalFit
+from modal_id.fit import ModalFit
 from modal_id.flags import RATE_CONVERTED_NOTE
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # Probability of a false answer in white noise, for all hypotheses of a record together.
 _FALSE_ALARM = 1e-4

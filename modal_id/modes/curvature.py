@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modal_id.modes.shapes import in_phase
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Modes beyond the one that dominates which are left free, and those beyond them, which the evidence restrains.
 _FREE_BEYOND, _RESTRAINED = 3, 20

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
 from modal_id.modes.combine import Combined, combine
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.posterior.noise import noise_level
+from modal_id.posterior import determine_mode, noise_level
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # Modes of two decays are the same when their frequencies differ by less than this share.
 _SAME = 0.02

@@ -9,7 +9,7 @@ import numpy as np
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.settings import IdentifySettings
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Largest ratio of measured to theoretical frequency (clamp, gravity, added mass); modes are further apart.
 MAX_LOG_RATIO = float(np.log(1.3))

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.outliers import beyond_limit
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import StabilityDiagram
+from modal_id.data import beyond_limit
+from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag
 from modal_id.modes.numbering import possible_aliases
-from modal_id.posterior.dependence import MUCH_LEFT, left_at_mode
-from modal_id.posterior.mode_posterior import LITTLE_DECAY, SampledMode
+from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mode
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import frequency_hz
+from tracker import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
 LOW_SNR = 10.0

@@ -13,10 +13,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.baseline import baseline_matrix
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.waves import real_columns
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import baseline_matrix
+from modal_id.fit import ModalFit
+from modal_id.solve import real_columns
+from tracker import BoolArray, ComplexArray, FloatArray
 
 Kind = Literal["moved", "blended", "inserted"]
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
-from modal_id.solve.poles import pole
-from tracker.arrays import FloatArray
+from modal_id.solve import pole
+from tracker import FloatArray
 
 # Step of the numerical derivative by the damping ratio and, relative, by the frequency.
 _STEP = 1e-6

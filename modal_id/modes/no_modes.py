@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.flags import ModeFlag
-from modal_id.posterior.mode_posterior import SampledMode
+from modal_id.posterior import SampledMode
 from modal_id.results import FailedMode
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from tracker import ComplexArray, FloatArray, PositionErrors
 
 # Distortion is weaker than the motions that cause it by at least this factor.
 _WEAKER = 3.0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modal_id.modes.shapes import in_phase
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Half the window of the fit about a crossing, as a share of the stations' span, and the fewest stations in it.
 _HALF_WINDOW, _LEAST_STATIONS = 0.08, 6

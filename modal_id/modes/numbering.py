@@ -18,7 +18,7 @@ from modal_id.modes.fitting_rate import (
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.settings import IdentifySettings
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
 _MAC_WEIGHT = 0.25
 _THEORY_ERROR = 0.06

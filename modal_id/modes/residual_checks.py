@@ -13,13 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.check import Check
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.results import Identification
-from modal_id.solve.linear import Problem, solve_linear, without_fit
-from modal_id.solve.poles import pole
-from modal_id.solve.waves import Beside, ModeColumns, TimesTime, motion
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import Beside, ModeColumns, Problem, TimesTime, motion, pole, solve_linear, without_fit
+from tracker import ComplexArray, FloatArray
 
 _REPLICATES = 399
 _MIN_REPLICATES = 99

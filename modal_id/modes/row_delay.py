@@ -8,7 +8,7 @@ import numpy as np
 
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Identification, IdentifiedMode
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # Modes and channels this far above their noise are used, and at least this many channels.
 _LEAST_SNR, _LEAST_CHANNELS = 20.0, 5

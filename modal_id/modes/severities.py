@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
+from modal_id.fit import ModalFit
 from modal_id.flags import ModeFlag
 from modal_id.modes.flag_rules import LOW_SNR, signal_to_noise
-from modal_id.posterior.dependence import left_at_mode
-from modal_id.posterior.mode_posterior import SampledMode
+from modal_id.posterior import SampledMode, left_at_mode
 from modal_id.results import AmplitudeDependence
-from tracker.severity import Severity
+from tracker import Severity
 
 # A part of the standard deviation above this share of it affects the interval.
 _SHARE = 0.5

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_solve
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import LinearSolution
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import LinearSolution
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # A channel in which every mode is below this many standard deviations has no motion.
 _MOVES = 4.0

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.segments.stop.change_point import running_rss
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import real_columns
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
+from modal_id.segments.stop import running_rss
+from modal_id.solve import frequency_hz, real_columns
+from tracker import FloatArray
 
 _SAMPLES_PER_CYCLE = 8.0
 _MOST_SAMPLES = 3000

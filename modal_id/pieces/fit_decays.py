@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from modal_id.data.prepare import Prepared
-from modal_id.modes.decays import FittedDecay
+from modal_id.data import Prepared
+from modal_id.modes import FittedDecay
 from modal_id.pieces.fit_pieces import PieceFitter
 from modal_id.pieces.spread import with_spread
 from modal_id.record import Segment
-from modal_id.segments.divide import RecordParts
-from modal_id.segments.find_onset import record_start
-from modal_id.segments.steadiness import holds_a_decay
-from tracker.results import DisplacementSeries
+from modal_id.segments import RecordParts, holds_a_decay, record_start
+from tracker import DisplacementSeries
 
 _MOST_SPLITS = 6
 # Where no piece is explained, a fit that leaves up to this share of the motion's power stands with wide intervals.

@@ -7,28 +7,33 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.data.prepare import MIN_SAMPLES, Prepared, Projection
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit, find_modes, refit
-from modal_id.fit.named_lines import with_named
-from modal_id.fit.omissions import Omissions
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.fit.scale_errors import with_scale_errors
-from modal_id.modes.decays import FittedDecay
-from modal_id.modes.shapes import moving_channels
+from modal_id.curve import amplitude_curve
+from modal_id.data import MIN_SAMPLES, FitData, Prepared, Projection
+from modal_id.fit import (
+    ModalFit,
+    Omissions,
+    find_modes,
+    refit,
+    with_named,
+    with_scale_errors,
+    without_repeating_errors,
+)
+from modal_id.modes import FittedDecay, moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
-from modal_id.posterior.noise import noise_level
+from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.clicks import click_segments, without_clicks
-from modal_id.segments.find_onset import changed_onset, from_largest_deflection
-from modal_id.segments.narrate import no_line
-from modal_id.segments.steadiness import keeps_amplitude
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray
-from tracker.results import DisplacementSeries
+from modal_id.segments import (
+    changed_onset,
+    click_segments,
+    from_largest_deflection,
+    keeps_amplitude,
+    no_line,
+    without_clicks,
+)
+from modal_id.solve import frequency_hz
+from tracker import BoolArray, DisplacementSeries
 
 # Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
 # per cent where a hand, a pluck or the end of the driving lies within.

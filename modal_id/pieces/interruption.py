@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.modes.decays import FittedDecay
-from modal_id.segments.steadiness import close_modes
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
+from modal_id.modes import FittedDecay
+from modal_id.segments import close_modes
+from modal_id.solve import frequency_hz
+from tracker import BoolArray
 
 # Three close modes or more with fewer than twelve cycles each describe a transient: a step or a stop.
 _TRANSIENT_MODES, _FEW_CYCLES = 3, 12.0

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.omissions import Omissions
-from modal_id.solve.linear import LinearSolution, solve_linear
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import ModeColumns
-from tracker.arrays import FloatArray
+from modal_id.fit import ModalFit, Omissions
+from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
+from tracker import FloatArray
 
 # Windows of this many cycles of the strongest mode and at least this many rows; the residual in them is projected on
 # the waves of the strongest modes.

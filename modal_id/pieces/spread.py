@@ -7,10 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import fit_poles, frequency_hz, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.fit import ModalFit
+from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
+from tracker import ComplexArray, FloatArray
 
 _PARTS = 3
 _LEAST_CYCLES = 2.0

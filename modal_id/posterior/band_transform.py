@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from modal_id.solve.weighting import LongArray, SparseColumns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import LongArray, SparseColumns
+from tracker import ComplexArray, FloatArray
 
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
 _BLOCKS_PER_PERIOD = 16.0

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import fdtrc
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.fit.amplitude_dependence import AmplitudeFit
-from modal_id.fit.model_order import ModalFit
+from modal_id.curve import amplitude_curve
+from modal_id.fit import AmplitudeFit, ModalFit
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 

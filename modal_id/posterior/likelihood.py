@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.posterior.reduction import ReducedLikelihood, Reduction, reduction
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, thinning
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, thinning
+from tracker import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.
 _REMAINDER = 1e-9

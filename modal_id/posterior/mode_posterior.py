@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
 from modal_id.posterior.likelihood import reduce_mode
@@ -18,8 +16,8 @@ from modal_id.posterior.sampler import SamplingError, sample
 from modal_id.posterior.widening import widened
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import ComplexArray, FloatArray
 
 # Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
 _COUPLED = 0.02

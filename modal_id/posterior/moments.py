@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit
-from modal_id.solve.waves import mode_functions, real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, mode_functions, real_columns
+from tracker import ComplexArray, FloatArray
 
 # Rows whose powers are held at one time.
 _BLOCK = 4096

@@ -7,18 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from modal_id.data.samples import FitData
-from modal_id.fit.amplitude_dependence import AmplitudeFit, nonlinear_decay
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
-from modal_id.fit.spectrum import nyquist_hz
+from modal_id.data import FitData
+from modal_id.fit import AmplitudeFit, ModalFit, nonlinear_decay, nyquist_hz, own_decay
 from modal_id.posterior.band_transform import BandTransform
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.normal_equations import normal_equations
-from modal_id.solve.poles import frequency_hz, pole_slopes
-from modal_id.solve.waves import Beside, ModeColumns
-from modal_id.solve.weighting import LongArray
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import (
+    Beside,
+    LinearSolution,
+    LongArray,
+    ModeColumns,
+    Problem,
+    frequency_hz,
+    normal_equations,
+    pole_slopes,
+    solve_linear,
+)
+from tracker import BoolArray, ComplexArray, FloatArray
 
 _RELATIVE_HALF_WIDTH = 0.06
 _MIN_BINS_ASIDE = 12

@@ -10,7 +10,7 @@ import numpy as np
 from emcee.moves import Move
 from emcee.state import State
 
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # Cells as wide as a tenth of a standard deviation within four of them, wider by this factor further out.
 _WIDTH, _FINE, _GROWTH = 0.1, 4.0, 1.1

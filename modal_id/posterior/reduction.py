@@ -10,10 +10,8 @@ from scipy.linalg import solve_triangular
 
 from modal_id.posterior.kernels import chi_square_of
 from modal_id.posterior.moments import Columns
-from modal_id.solve.banded import BandedFactor
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import BandedFactor, PoleFit, Problem, own_problem
+from tracker import ComplexArray, FloatArray
 
 # Of the other modes' inner products, relative to the largest: rounding errors may leave no more.
 _RIDGE = 1e-13

@@ -12,7 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.proposal import IndependenceMove, PolarProposal, polar_proposal
 from modal_id.settings import SamplerSettings
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Steps over which an autocorrelation is summed, in autocorrelation times.
 _WINDOW = 5.0

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.outliers import reject_outliers
-from modal_id.data.samples import runs
-from modal_id.fit.model_order import ModalFit, refit
+from modal_id.data import reject_outliers, runs
+from modal_id.fit import ModalFit, refit
 from modal_id.record import Segment
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray, FloatArray
+from modal_id.solve import frequency_hz
+from tracker import BoolArray, FloatArray
 
 # Rejected samples with at most this many others between them belong together.
 _GAP = 4

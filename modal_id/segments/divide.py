@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import dominant_hz
 from modal_id.segments.envelope import HOPS, short_time
@@ -25,7 +25,7 @@ from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
 from modal_id.segments.steadiness import decays, is_steady, starts_to_decay
 from modal_id.segments.swing import without_swing
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # The search for events needs few samples per cycle.
 _SAMPLES_PER_CYCLE = 12.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.candidates import Candidate, candidates
+from modal_id.data import FitData
+from modal_id.fit import Candidate, candidates
 from modal_id.segments.find_onset import detrended
 from modal_id.segments.swing import FEW_CYCLES
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Shares of the record in which the dominant motion is looked for, each at every half of its length.
 _WINDOWS = (1.0, 0.25, 0.0625)

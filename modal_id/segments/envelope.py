@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from tracker import BoolArray, ComplexArray, FloatArray
 
 _CYCLES = 2.0
 # Windows overlap by three quarters.

@@ -11,15 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data.baseline import baseline_splines
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
+from modal_id.data import FitData, baseline_splines
+from modal_id.fit import find_modes
 from modal_id.segments.envelope import short_time
 from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import fit_poles
-from modal_id.solve.waves import ModeColumns
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import ModeColumns, Problem, fit_poles, solve_linear
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # Length of the decays fitted on either side of a candidate, and the least length of one.
 _SIDE_CYCLES = 10.0

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
+from modal_id.data import FitData
+from modal_id.fit import find_modes
 from modal_id.record import Onset
 from modal_id.segments.events import Event
-from modal_id.segments.stop.change_point import driven_then_free
-from modal_id.segments.stop.instant import Stop, locate_stop
-from tracker.arrays import BoolArray, FloatArray
+from modal_id.segments.stop import Stop, driven_then_free, locate_stop
+from tracker import BoolArray, FloatArray
 
 _MAX_SETTLE_FRACTION = 0.1
 # Delay of the fit after a release, in decay times, where these are shorter than a cycle.

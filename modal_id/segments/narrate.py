@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData, rough_variance, runs
-from modal_id.fit.damped import MAX_DAMPING
-from modal_id.fit.spectrum import power_spectrum
+from modal_id.data import FitData, rough_variance, runs
+from modal_id.fit import MAX_DAMPING, power_spectrum
 from modal_id.record import Segment
 from modal_id.segments.find_onset import detrended
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # Of runs of repeated samples, those of at least this length are segments of their own, at most this number of them.
 _LEAST_RUN, _MOST_RUNS = 3, 8

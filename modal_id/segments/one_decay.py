@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.segments.envelope import HOPS, Envelope
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
 _ITERATIONS = 30
 _CONVERGED = 1e-6

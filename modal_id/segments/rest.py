@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from tracker import FloatArray
 
 # Standard deviations of noise that samples at rest do not exceed, and that the amplitude of the motion exceeds; half a
 # cycle of such a motion exceeds the former.

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.segments.envelope import Windows, windows
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # Mean square residual of a window, relative to that of the quieter quarter of all, from which its samples are examined;
 # no more is left where the samples removed explain it. Most windows may hold a spike.

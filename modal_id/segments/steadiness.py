@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit, find_modes
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, fit_poles, frequency_hz
-from tracker.arrays import BoolArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit, find_modes
+from modal_id.solve import PoleFit, Problem, fit_poles, frequency_hz
+from tracker import BoolArray
 
 _MODES = 4
 # The dominant line is within this share of the frequency that was looked for.

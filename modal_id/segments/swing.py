@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.baseline import baseline_splines
-from modal_id.data.samples import FitData
-from modal_id.fit.candidates import candidates
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.waves import no_columns
-from tracker.arrays import FloatArray
+from modal_id.data import FitData, baseline_splines
+from modal_id.fit import candidates
+from modal_id.solve import Problem, no_columns, solve_linear
+from tracker import FloatArray
 
 # A swing has fewer cycles than this, and less than this share of the frequency of the motion.
 FEW_CYCLES = 12.0

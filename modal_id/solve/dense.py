@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Eigenvalues below this share of the largest are 0, as in `numpy.linalg.pinv`.
 _NEGLIGIBLE = 1e-15

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from modal_id.data.samples import FitData, neighbour_sums
+from modal_id.data import FitData, neighbour_sums
 from modal_id.solve.banded import BandedFactor
 from modal_id.solve.dense import cholesky, solve
 from modal_id.solve.weighting import (
@@ -22,7 +22,7 @@ from modal_id.solve.weighting import (
     some_rows,
     weighting,
 )
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
 _RIDGE = 1e-13

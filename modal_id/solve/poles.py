@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.solve.dense import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, solve_linear
 from modal_id.solve.normal_equations import normal_equations, slope_weights
 from modal_id.solve.waves import ModeColumns, TimesTime, motion
 from modal_id.solve.weighting import LongArray
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15

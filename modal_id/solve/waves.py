@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.solve.weighting import BLOCK_ROWS, LongArray
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Samples of a block whose times are multiples of the step, and the largest error of phase in radians up to which times
 # count as even.

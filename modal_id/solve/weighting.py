@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.solve.banded import normal_band
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
 _MAX_DIFFERENT = 0.1

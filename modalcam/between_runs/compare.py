@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from modal_id.modes.combine import Combined, between_interval, combine
+from modal_id.modes import Combined, between_interval, combine
 from modalcam.between_runs.read import RunMode, run_modes, same_modes
 from modalcam.errors import InputError
 from modalcam.files import real

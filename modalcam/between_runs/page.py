@@ -16,13 +16,23 @@ from rich.table import Column, Table
 
 from modalcam.between_runs.compare import Comparison, ModeInRuns, Quantity
 from modalcam.names import csv_safe, for_terminal
-from modalcam.report.style.axes import few_ticks
-from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.format import p_value, significant, with_sd
-from modalcam.report.style.palette import ALERT, MEASURED, figure_style, new_figure
-from modalcam.report.style.safe_text import figure_label
-from modalcam.report.style.svg import FigureView, figure_svg, inline
-from modalcam.storage.atomic import write_json, write_text
+from modalcam.report.style import (
+    ALERT,
+    MEASURED,
+    FigureView,
+    environment,
+    few_ticks,
+    figure_label,
+    figure_style,
+    figure_svg,
+    inline,
+    new_figure,
+    p_value,
+    significant,
+    style_sheet,
+    with_sd,
+)
+from modalcam.storage import write_json, write_text
 
 FILES = ("compare.csv", "compare.json", "compare.html")
 _NAMES = {"frequency_hz": ("Frequency", "Hz", 1.0), "damping_ratio": ("Damping ratio", "%", 100.0)}

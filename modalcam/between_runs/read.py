@@ -12,7 +12,7 @@ import numpy as np
 from modalcam.errors import InputError
 from modalcam.files import readable_bytes
 from modalcam.names import shown
-from modalcam.storage.output_folder import Workspace
+from modalcam.storage import Workspace
 
 _MOST_BYTES = 500_000_000
 # Modes of one number in different runs, and those without a number, differ by less than this.

@@ -24,8 +24,7 @@ from modalcam.cli.setup import check_config, info, init, verify
 from modalcam.cli.studio import pick, studio
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
-from modalcam.execution.heap import return_large_arrays
-from modalcam.execution.local import SINGLE_THREAD
+from modalcam.execution import SINGLE_THREAD, return_large_arrays
 from modalcam.files import silence_readers
 from modalcam.names import for_terminal, shown
 

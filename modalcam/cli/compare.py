@@ -32,8 +32,7 @@ def compare(
     force: Replace = False,
 ) -> None:
     """Compare the modes of a beam in several runs."""
-    from modalcam.between_runs.compare import compare_runs
-    from modalcam.between_runs.page import FILES, show, write_files
+    from modalcam.between_runs import FILES, compare_runs, show, write_files
 
     if to is not None:
         for name in FILES:

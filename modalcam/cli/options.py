@@ -14,16 +14,15 @@ import typer
 from typer.core import TyperCommand
 
 from modalcam.errors import ExitCode, InputError, ModalcamError
-from modalcam.execution.heap import low_memory_limits
-from modalcam.execution.local import Limits
+from modalcam.execution import Limits, low_memory_limits
 from modalcam.files import real
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from modalcam.commands import Options
-    from modalcam.execution.pool import Progress
-    from modalcam.pipeline.results import RunResult
+    from modalcam.execution import Progress
+    from modalcam.pipeline import RunResult
 
 # Help of an option that mirrors a key of the configuration is made from the key's field.
 CONFIG_HELP = "config:"
@@ -149,7 +148,7 @@ class Command(TyperCommand):
         for parameter in self.params:
             key = str(getattr(parameter, "help", ""))
             if key.startswith(CONFIG_HELP):
-                from modalcam.config.reference import option
+                from modalcam.config import option
 
                 vars(parameter)["help"] = option(key.removeprefix(CONFIG_HELP)).short_help
         super().format_help(ctx, formatter)
@@ -197,8 +196,8 @@ def run_options(
 ) -> Options:
     """Options of a run from those of the command line; `others` are passed on unchanged."""
     from modalcam.commands import Options
-    from modalcam.inputs.discover import Selection
-    from tracker.settings_base import parse_fps
+    from modalcam.inputs import Selection
+    from tracker import parse_fps
 
     if out == Path("-"):
         msg = "-o -: results are a folder of files; give its name. `--json` prints a summary on standard output."

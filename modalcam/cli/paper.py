@@ -26,8 +26,8 @@ def paper(
     from modalcam import commands
     from modalcam.console import listener, problems
     from modalcam.names import shown
-    from modalcam.paper.page import numbers, show, write_paper
-    from modalcam.storage.output_folder import Workspace
+    from modalcam.paper import numbers, show, write_paper
+    from modalcam.storage import Workspace
 
     options = run_options(out, **common)
     with listener(console(), verbose) as progress:

@@ -33,9 +33,9 @@ def plan(
 ) -> None:
     """Predict the uncertainty of a planned experiment."""
     from modalcam.console import listener
-    from modalcam.planning.page import plan_html, show
-    from modalcam.planning.plan import plan as make_plan
-    from modalcam.storage.atomic import write_text
+    from modalcam.planning import plan as make_plan
+    from modalcam.planning import plan_html, show
+    from modalcam.storage import write_text
 
     if out is not None:
         check_new(out, force=force)

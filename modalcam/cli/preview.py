@@ -32,14 +32,13 @@ def preview(
 
     The recording is one of a line (kind = "line").
     """
-    from modal_id.results import Identification
-    from modalcam.pipeline.saved import load_run
+    from modal_id import Identification
+    from modalcam.pipeline import load_run
     from modalcam.render import chosen_recording
-    from modalcam.report.derived.signals import shown_mode
-    from modalcam.report.style.format import mode_name
-    from modalcam.video.exaggerated import ExaggeratedFilm, exaggerated_film, write_film
-    from modalcam.video.track_preview import check_suffix
-    from tracker.results import MarkerTracks
+    from modalcam.report.derived import shown_mode
+    from modalcam.report.style import mode_name
+    from modalcam.video import ExaggeratedFilm, check_suffix, exaggerated_film, write_film
+    from tracker import MarkerTracks
 
     check_suffix(out, "--out")
     check_new(out, force=force)

@@ -11,7 +11,7 @@ from modalcam.cli.options import Json, Links, results_console
 from modalcam.errors import ExitCode
 
 if TYPE_CHECKING:
-    from modalcam.inputs.probe import Probe
+    from modalcam.inputs import Probe
 
 
 def probe(
@@ -25,8 +25,8 @@ def probe(
     import json
     from dataclasses import asdict
 
-    from modalcam.execution.pool import worker_pool
-    from modalcam.inputs.probe import probe_folder
+    from modalcam.execution import worker_pool
+    from modalcam.inputs import probe_folder
 
     # In another process: a recording may be made to need any time or memory.
     with worker_pool(1) as pool:

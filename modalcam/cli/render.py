@@ -14,8 +14,8 @@ from modalcam.names import shown
 
 if TYPE_CHECKING:
     from modalcam.commands import Options
-    from modalcam.execution.pool import Progress
-    from modalcam.pipeline.results import RunResult
+    from modalcam.execution import Progress
+    from modalcam.pipeline import RunResult
 
 
 def render(
@@ -58,9 +58,8 @@ def render(
     """
     from modalcam.console import listener
     from modalcam.render import film_run
-    from modalcam.video.film_beam import film_config
-    from sim.render.recording import RecordingPlan
-    from sim.render.video import SUFFIXES
+    from modalcam.video import film_config
+    from sim.render import SUFFIXES, RecordingPlan
 
     if out.suffix.lower() not in SUFFIXES:
         msg = f"-o: expected a name ending in {', '.join(SUFFIXES)}; found {shown(str(out))}"
@@ -95,7 +94,7 @@ def demo(
 ) -> None:
     """Render footage of a simulated beam and run the whole pipeline."""
     from modalcam import commands
-    from modalcam.video.film_beam import film_demo
+    from modalcam.video import film_demo
 
     def film_and_run(options: Options, progress: Progress) -> RunResult:
         folder = film_demo(out / "videos", _mode_list(modes), options.seed, progress)

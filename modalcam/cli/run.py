@@ -80,8 +80,8 @@ def track(
     """Track the markers only and write OUT/tracks."""
     from modalcam import commands
     from modalcam.console import listener, tracked
-    from modalcam.video.track_preview import check_preview, write_preview
-    from tracker.results import MarkerTracks
+    from modalcam.video import check_preview, write_preview
+    from tracker import MarkerTracks
 
     out = out or results_folder(target)
     if preview is not None:
@@ -132,8 +132,8 @@ def identify(
 ) -> None:
     """Identify modes from a table of motion: .csv, .mat, .uff, ..."""
     from modalcam import commands
-    from modalcam.config.toml import parse_recording
-    from modalcam.inputs.table import MAX_BYTES
+    from modalcam.config import parse_recording
+    from modalcam.inputs import MAX_BYTES
 
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"

@@ -21,15 +21,15 @@ def init(
     force: Replace = False,
 ) -> None:
     """Write a commented experiment.toml for a folder of recordings."""
-    from modalcam.execution.pool import worker_pool
-    from modalcam.inputs.probe import starter_config
+    from modalcam.execution import worker_pool
+    from modalcam.inputs import starter_config
 
     with worker_pool(1) as pool:
         text = starter_config(folder, each=pool.map)
     if out is None:
         typer.echo(text, nl=False)
         return
-    from modalcam.storage.atomic import write_text
+    from modalcam.storage import write_text
 
     check_new(out, force=force)
     write_text(out, text)
@@ -37,8 +37,7 @@ def init(
 
 def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml.")]) -> None:
     """Check a configuration and print it as modalcam reads it."""
-    from modalcam.config.resolve import unusable_recordings
-    from modalcam.config.toml import dump_config, load_config
+    from modalcam.config import dump_config, load_config, unusable_recordings
 
     read = load_config(config)
     typer.echo(dump_config(read), nl=False)
@@ -55,7 +54,7 @@ def verify(
     ] = None,
 ) -> None:
     """Compare OUT, and the recordings, with the hashes of the run."""
-    from modalcam.storage.verify import changed_files, changed_recordings
+    from modalcam.storage import changed_files, changed_recordings
 
     number, changes = changed_files(out)
     if folder is not None:
@@ -71,7 +70,7 @@ def info() -> None:
     """Print versions, processor and BLAS, for a bug report."""
     import os
 
-    from modalcam.storage.provenance import opencv_wheels, processor, versions
+    from modalcam.storage import opencv_wheels, processor, versions
 
     for name, version in (*versions(), *processor()):
         typer.echo(f"{name} {version}")

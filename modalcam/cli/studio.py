@@ -24,9 +24,8 @@ def studio(
 ) -> None:
     """Set markers, run and read the report in the browser."""
     _check_installed()
-    from modalcam.studio.server import serve
-    from modalcam.studio.session import Studio, pools
-    from modalcam.studio.views.page import build_page
+    from modalcam.studio import Studio, pools, serve
+    from modalcam.studio.views import build_page
 
     results = out or results_folder(folder)
     with pools() as processes:
@@ -52,9 +51,8 @@ def pick(
 ) -> None:
     """Set the markers of one recording by clicks in the browser."""
     _check_installed()
-    from modalcam.studio.server import serve
-    from modalcam.studio.session import Studio, pools
-    from modalcam.studio.views.page import build_pick_page
+    from modalcam.studio import Studio, pools, serve
+    from modalcam.studio.views import build_pick_page
 
     if not file.exists():
         msg = f"{shown(str(file))}: no such file; give a recording"

@@ -35,10 +35,8 @@ def markers(
     force: Replace = False,
 ) -> None:
     """Write markers or a calibration board to print at true scale."""
-    from modalcam.targets.board import board_page, parse_squares
-    from modalcam.targets.markers import aruco_pages, dot_pages, parse_ids
-    from modalcam.targets.sheet import save_pages
-    from tracker.geometry.charuco import Board
+    from modalcam.targets import aruco_pages, board_page, dot_pages, parse_ids, parse_squares, save_pages
+    from tracker.geometry import Board
 
     check_new(out, force=force)
     if board is not None:
@@ -65,10 +63,9 @@ def calibrate(
     from functools import partial
 
     from modalcam.errors import InputError
-    from modalcam.execution.pool import TaskFailure, worker_pool
-    from modalcam.targets.board import parse_squares
-    from modalcam.targets.calibrate_lens import calibrate_folder, lines, write_lens
-    from tracker.geometry.charuco import Board
+    from modalcam.execution import TaskFailure, worker_pool
+    from modalcam.targets import calibrate_folder, lines, parse_squares, write_lens
+    from tracker.geometry import Board
 
     check_new(out, force=force)
     across, down = parse_squares(squares)

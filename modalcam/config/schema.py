@@ -11,11 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from modal_id.settings import IdentifyOptions
+from modal_id import IdentifyOptions
 from modalcam.config.units import position_problem, unit_problem
 from sim.damping import selectable_damping_models
-from tracker.settings import CameraOptions, MarkerOptions
-from tracker.settings_base import Finite, Length, NonNegative, Options, Point, Positive
+from tracker import CameraOptions, Finite, Length, MarkerOptions, NonNegative, Options, Point, Positive
 
 
 def _file_name(value: object) -> str:

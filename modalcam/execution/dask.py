@@ -25,8 +25,7 @@ from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.local import SINGLE_THREAD, Limits, LocalExecutor
 from modalcam.execution.pool import Announce, WorkerPool
 from modalcam.plugins import OUR_PACKAGES, load_plugins
-from modalcam.storage.atomic import write_text
-from modalcam.storage.provenance import code_sha256, versions
+from modalcam.storage import code_sha256, versions, write_text
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.pipeline.results import RunResult
-from modalcam.storage.output_folder import Workspace
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import RunResult
+from modalcam.storage import Workspace
 
 
 @dataclass(frozen=True)

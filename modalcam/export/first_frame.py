@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import shown
-from modalcam.pipeline.results import RunResult
-from modalcam.storage.atomic import replacing
-from modalcam.storage.output_folder import Workspace
-from tracker.results import FailedTracking
+from modalcam.pipeline import RunResult
+from modalcam.storage import Workspace, replacing
+from tracker import FailedTracking
 
 _DPI = 100
 # Size of the picture's longer side, without the labels of the axes.

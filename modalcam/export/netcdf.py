@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
+from modal_id import Identification, IdentifiedMode
 from modalcam import __version__
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import shown
-from modalcam.pipeline.results import RunResult
-from modalcam.storage.atomic import replacing
-from modalcam.storage.output_folder import Workspace
+from modalcam.pipeline import RunResult
+from modalcam.storage import Workspace, replacing
 
 # Of a file beside its arrays, at most, and of each of its variables.
 _OVERHEAD_BYTES = 100_000

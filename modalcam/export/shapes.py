@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.modes.curvature import Curvature, NoCurvature, beam_curvature
-from modal_id.modes.shapes import in_phase
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode
+from modal_id.modes import Curvature, NoCurvature, beam_curvature, in_phase
 from modalcam.export.tables import table_writer
-from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import MarkerTracks
+from modalcam.pipeline import BeamResult, RecordingResult, RunResult
+from tracker import ComplexArray, FloatArray, MarkerTracks
 
 COLUMNS = (
     "recording mode frequency_hz marker position_mm shape shape_out_of_phase shape_sd "

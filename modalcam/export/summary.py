@@ -10,22 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.modes.curvature import NoCurvature
-from modal_id.modes.nodes import find_nodes
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.config.schema import ExperimentConfig
-from modalcam.config.toml import dump_config
+from modal_id import Identification, IdentifiedMode
+from modal_id.modes import NoCurvature, find_nodes
+from modalcam.config import ExperimentConfig, dump_config
 from modalcam.export.base import Output, Writer
 from modalcam.export.shapes import curvature
 from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
-from modalcam.pipeline.model_scores import model_scores
-from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
-from modalcam.pipeline.uncertainty import budgets
-from modalcam.storage.atomic import write_json, write_text
-from modalcam.storage.output_folder import Workspace
+from modalcam.pipeline import BeamResult, RecordingResult, RunResult, budgets, model_scores
+from modalcam.storage import Workspace, write_json, write_text
 from sim.updating import Updating
-from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
+from tracker import DisplacementSeries, FailedTracking, MarkerTracks
 
 
 def summary(result: RunResult) -> dict[str, Any]:

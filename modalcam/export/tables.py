@@ -7,14 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import csv_safe
-from modalcam.pipeline.results import RecordingResult, RunResult, mode_table
-from modalcam.storage.atomic import replacing
-from modalcam.storage.output_folder import Workspace
+from modalcam.pipeline import RecordingResult, RunResult, mode_table
+from modalcam.storage import Workspace, replacing
 from sim.comparison import DecayComparison
-from tracker.results import MarkerTracks
+from tracker import MarkerTracks
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
-from modal_id.solve.poles import pole
-from modalcam.config.schema import ExperimentConfig
+from modal_id import Identification, IdentifiedMode
+from modal_id.solve import pole
+from modalcam.config import ExperimentConfig
 from modalcam.export.base import Output, Writer
-from modalcam.pipeline.results import RunResult
-from modalcam.storage.atomic import replacing
-from modalcam.storage.output_folder import Workspace
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from modalcam.pipeline import RunResult
+from modalcam.storage import Workspace, replacing
+from tracker import DisplacementSeries, FloatArray
 
 _TIME_AXIS = 17
 # Dimension of the ordinate in powers of length; time is always in seconds.

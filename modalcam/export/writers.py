@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.export import first_frame, netcdf, shapes, summary, tables, uff
+from modalcam.config import ExperimentConfig
+from modalcam.export import first_frame, netcdf, shapes, tables, uff
 from modalcam.export.base import Output, Writer
-from modalcam.pipeline.results import RunResult
-from modalcam.storage.output_folder import Workspace
+from modalcam.export.summary import CONFIG, SUMMARY
+from modalcam.pipeline import RunResult
+from modalcam.storage import Workspace
 
 # In the order in which they are written.
 WRITERS: dict[str, Writer] = {
@@ -26,8 +27,8 @@ WRITERS: dict[str, Writer] = {
         shapes.SHAPES,
         tables.COMPARISON,
         tables.UPDATING,
-        summary.SUMMARY,
-        summary.CONFIG,
+        SUMMARY,
+        CONFIG,
     )
 }
 

@@ -11,12 +11,16 @@ from pathlib import Path, PurePath
 from modalcam.errors import InputError, NoInputError
 from modalcam.files import real
 from modalcam.names import natural_key, recording_names, shown
-from tracker.video.headers.camera_header import HEADER_SUFFIXES
-from tracker.video.image_files import IMAGE_SUFFIXES
-from tracker.video.image_folder import ImageSeries, image_series
-from tracker.video.photron import PIXEL_SUFFIX
-from tracker.video.registry import recording_suffixes
-from tracker.video.tiff import TIFF_SUFFIXES, is_stack
+from tracker.video import (
+    IMAGE_SUFFIXES,
+    PIXEL_SUFFIX,
+    TIFF_SUFFIXES,
+    ImageSeries,
+    image_series,
+    is_stack,
+    recording_suffixes,
+)
+from tracker.video.headers import HEADER_SUFFIXES
 
 MAX_DEPTH = 4
 MAX_FILES = 10_000

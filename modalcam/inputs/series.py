@@ -9,8 +9,16 @@ from numpy.typing import NDArray
 from modalcam.errors import InputError
 from modalcam.inputs.table import Table
 from modalcam.names import shown
-from tracker.flags import LOSSY, parse_flags
-from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
+from tracker import (
+    LOSSY,
+    TRACK_COLUMNS,
+    DecodeReport,
+    DisplacementSeries,
+    MarkerTracks,
+    Scale,
+    TimeAxis,
+    parse_flags,
+)
 
 MIN_SAMPLES = 8
 # A ratio of mm to px that varies by a larger share is more than a scale; files hold about nine digits.

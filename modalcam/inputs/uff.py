@@ -12,8 +12,7 @@ from modalcam.files import readable_bytes
 from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size, check_time
 from modalcam.inputs.table import MAX_BYTES
 from modalcam.names import shown
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries, FloatArray
 
 ENDINGS = (".uff", ".unv", ".u58", ".uf")
 _TIME_RESPONSE, _UNKNOWN_FUNCTION = 1, 0

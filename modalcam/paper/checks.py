@@ -12,7 +12,7 @@ import numpy as np
 from modalcam.paper import decays, table2
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed
 from modalcam.paper.text import FILTERS
-from modalcam.report.style.environment import environment
+from modalcam.report.style import environment
 from sim.reference import paper_tables as printed
 
 

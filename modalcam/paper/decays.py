@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
+from modal_id import Identification, IdentifiedMode
 from modalcam.paper.recomputed import Recomputed
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.signals import drawn_decays, nrmse_of_fit
+from modalcam.pipeline import RecordingResult, RunResult
+from modalcam.report.derived import drawn_decays, nrmse_of_fit
 from sim.comparison import DecayComparison, ModelDecay
 from sim.reference import paper_tables as printed
 

@@ -10,18 +10,36 @@ from matplotlib.axes import Axes
 from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.table2 import Row
-from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.signals import measured_envelope, shown_channel
-from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown, measured_point
-from modalcam.report.figures.simulated import SIMULATED, simulated_shown
-from modalcam.report.style.axes import dots, few_ticks, log_y
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_svg
+from modalcam.pipeline import RunResult
+from modalcam.report.derived import measured_envelope, shown_channel
+from modalcam.report.figures import (
+    DAMPING,
+    SIMULATED,
+    DampingPoint,
+    Reference,
+    damping_shown,
+    measured_point,
+    simulated_shown,
+)
+from modalcam.report.style import (
+    ALERT,
+    FIT,
+    MEASURED,
+    MUTED,
+    RAYLEIGH,
+    FigureView,
+    dots,
+    few_ticks,
+    figure_style,
+    figure_svg,
+    legend_above,
+    log_y,
+    new_figure,
+)
 from sim.damping import DAMPING_MODELS
 from sim.reference import paper_tables as printed
 from sim.updating import PaperUpdate
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _COLUMNS = 3
 

@@ -11,18 +11,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from modalcam.execution.pool import Progress
+from modalcam.execution import Progress
 from modalcam.paper import decays, figures, table1, table2, table3, text
 from modalcam.paper.checks import Check, checks, numbers_of, templates
 from modalcam.paper.recomputed import Recomputed, recomputed
 from modalcam.paper.simulated_truth import Truth, beam_differences, read_truth
-from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.signals import best_modes
-from modalcam.report.sections.comparison import findings
-from modalcam.report.style.environment import style_sheet
-from modalcam.report.style.format import fixed, interval, with_sd
-from modalcam.storage.atomic import write_text
-from modalcam.storage.output_folder import Workspace
+from modalcam.pipeline import RunResult
+from modalcam.report.derived import best_modes
+from modalcam.report.sections import findings
+from modalcam.report.style import fixed, interval, style_sheet, with_sd
+from modalcam.storage import Workspace, write_text
 
 _STYLES = {"good": "green", "care": "yellow", "none": "dim"}
 

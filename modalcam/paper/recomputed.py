@@ -7,12 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from modalcam.execution.pool import TaskFailure, worker_pool
-from modalcam.storage.cache import load, save
-from modalcam.storage.provenance import code_state, stage_key
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
+from modalcam.execution import TaskFailure, worker_pool
+from modalcam.storage import code_state, load, save, stage_key
+from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import RayleighDamping
 from sim.reference import paper_tables as printed
 from sim.updating import (
@@ -24,7 +21,7 @@ from sim.updating import (
     update,
     update_like_paper,
 )
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Handbook value for carbon steel: reproduces the printed frequencies, unlike the printed 8000.
 HANDBOOK_DENSITY_KG_M3 = 7850.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.reference import paper_tables as printed
 
 TRUTH_NAME = "truth.json"

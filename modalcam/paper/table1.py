@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from modalcam.paper.recomputed import Recomputed
-from modalcam.pipeline.results import BeamResult
-from modalcam.report.style.format import MISSING, percent
-from sim.beam.properties import BeamProperties
+from modalcam.pipeline import BeamResult
+from modalcam.report.style import MISSING, percent
+from sim.beam import BeamProperties
 from sim.reference import paper_tables as printed
 from sim.updating import BayesianUpdate, PaperUpdate
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 class Column(NamedTuple):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode
 from modalcam.paper.simulated_truth import Truth
 from sim.reference import paper_tables as printed
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _NAN = float("nan")
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, MODES, Recomputed
-from modalcam.pipeline.results import BeamResult
+from modalcam.pipeline import BeamResult
 from sim.reference import paper_tables as printed
 from sim.updating import Updating
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 class Line(NamedTuple):

@@ -8,9 +8,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.report.style.format import MISSING, listed, percent, significant
-from modalcam.report.style.svg import inline
-from tracker.arrays import FloatArray
+from modalcam.report.style import MISSING, inline, listed, percent, significant
+from tracker import FloatArray
 
 
 def signed_percent(ratio: float, digits: int = 2) -> str:

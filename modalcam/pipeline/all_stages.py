@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from modal_id.results import FailedIdentification
-from modalcam.config.toml import dump_config
+from modal_id import FailedIdentification
+from modalcam.config import dump_config
 from modalcam.pipeline.compare import compare_recordings
 from modalcam.pipeline.identify import identify_recordings
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.stage import Context
 from modalcam.pipeline.track import track_recordings, with_displacement
 from modalcam.pipeline.update import beam_theory, update_beam
-from modalcam.storage.output_folder import RunRecord, Source
-from modalcam.storage.provenance import processor, versions
-from sim.beam.modes import BeamModes
-from tracker.results import FailedTracking
+from modalcam.storage import RunRecord, Source, processor, versions
+from sim.beam import BeamModes
+from tracker import FailedTracking
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,11 @@ import numpy as np
 
 from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import BeamResult
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes, beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.beam import AncfBeam, BeamModes, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison import Candidate
 from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
 from sim.updating import FailedUpdating, MeasuredModes, Method, UpdatePart, UpdatingSettings, all_updates
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # The paper identifies five modes; a few more are needed to number other modes that are excited.
 THEORY_MODES = 8

@@ -9,9 +9,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.modes.combine import Combined, combine
-from modal_id.modes.shapes import mac
-from modal_id.results import Identification, IdentifiedMode
+from modal_id import Identification, IdentifiedMode
+from modal_id.modes import Combined, combine, mac
 from modalcam.pipeline.results import RecordingResult
 from sim.comparison import BAND_DRAWS, draw_indices
 from sim.updating import MeasuredShape

@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.results import Identification
-from modalcam.config.resolve import random_words
-from modalcam.config.schema import AirConfig, RecordingConfig
+from modal_id import Identification
+from modalcam.config import AirConfig, RecordingConfig, random_words
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, each_together
-from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from sim.beam.properties import BeamProperties
+from modalcam.video import KeptFrames, NoFootage, SimulatedFootage
+from sim.beam import BeamProperties
 from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay, obstacle
 from sim.damping import MeasuredDamping, skipped_damping_models
-from tracker.results import MarkerTracks
+from tracker import MarkerTracks
 
 
 def compare_models(
@@ -33,7 +32,7 @@ def compare_models(
 ) -> DecayComparison | FailedComparison:
     """Measured decay against each damping model, from the fitted state at the onset; `beams` are posterior draws."""
     # Workers only: the main process would hold the libraries of the fit beside all results.
-    from modal_id.identify import fit_free_decay  # noqa: PLC0415
+    from modal_id import fit_free_decay  # noqa: PLC0415
 
     drag = None
     if air.drag_coefficient != 0.0:
@@ -69,7 +68,7 @@ def film(
     seed: tuple[int, ...],
 ) -> SimulatedFootage | NoFootage:
     """The kept frames as the camera would have seen the updated beam under generic damping."""
-    from modalcam.video.simulated_footage import film_simulation  # noqa: PLC0415 - workers only, as above
+    from modalcam.video import film_simulation  # noqa: PLC0415 - workers only, as above
 
     return film_simulation(
         frames,

@@ -7,17 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from modal_id.results import FailedIdentification, FailedMode, Identification, IdentifiedMode
-from modal_id.settings import IdentifySettings
-from modalcam.config.resolve import identify_settings
+from modal_id import FailedIdentification, FailedMode, Identification, IdentifiedMode, IdentifySettings
+from modalcam.config import identify_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, Stage
-from sim.beam.modes import BeamModes
-from tracker.arrays import FloatArray
-from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
-from tracker.geometry.view import median_over_time
-from tracker.markers.registry import AUTO, noun_of
-from tracker.results import DisplacementSeries, MarkerTracks
+from sim.beam import BeamModes
+from tracker import DisplacementSeries, FloatArray, MarkerTracks
+from tracker.geometry import LARGEST_PRODUCT, exposure_attenuation, median_over_time
+from tracker.markers import AUTO, noun_of
 
 # A correction below this share of the amplitude gets no note, unless it exceeds the standard deviation.
 WORTH_A_NOTE = 1e-3
@@ -53,9 +50,11 @@ def identify_series(
     given.
     """
     # Workers only: the main process would hold the libraries of the fit beside all results.
-    from modal_id.identify import identify  # noqa: PLC0415
-    from modal_id.modes.residual_checks import residual_checks  # noqa: PLC0415
-    from modal_id.modes.row_delay import readout_note  # noqa: PLC0415
+    from modal_id import identify  # noqa: PLC0415
+    from modal_id.modes import (  # noqa: PLC0415
+        readout_note,
+        residual_checks,
+    )
 
     found = identify(series, settings)
     if isinstance(found, Identification):
@@ -79,7 +78,7 @@ def _because_cut(failed: _Failed, cut_off: str) -> _Failed:
     """The failure, with the cut of the file as its first cause and the length of a decay that can be identified."""
     if not cut_off:
         return failed
-    from modal_id.modes.flag_rules import LEAST_CYCLES  # noqa: PLC0415
+    from modal_id.modes import LEAST_CYCLES  # noqa: PLC0415
 
     hz = failed.frequency_hz if isinstance(failed, FailedMode) else math.nan
     needed = (

@@ -7,13 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 from modalcam.errors import InputError
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import TaskFailure, worker_pool
-from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table
-from modalcam.inputs.table import Table, read_table
-from modalcam.inputs.uff import ENDINGS, read_uff
+from modalcam.execution import Limits, TaskFailure, worker_pool
+from modalcam.inputs import (
+    ENDINGS,
+    Table,
+    is_tracks,
+    read_table,
+    read_uff,
+    series_from_table,
+    tracks_from_table,
+)
 from modalcam.names import shown
 
 

@@ -15,13 +15,12 @@ from modalcam.names import csv_safe, shown
 if TYPE_CHECKING:
     import pandas as pd
 
-    from modal_id.results import FailedIdentification, Identification
-    from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-    from sim.beam.modes import BeamModes
-    from sim.beam.properties import BeamProperties
+    from modal_id import FailedIdentification, Identification
+    from modalcam.video import KeptFrames, NoFootage, SimulatedFootage
+    from sim.beam import BeamModes, BeamProperties
     from sim.comparison import DecayComparison, FailedComparison
     from sim.updating import Updating
-    from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
+    from tracker import DisplacementSeries, FailedTracking, MarkerTracks
 
 # Name of each stage's file and the field of a recording that its result fills.
 STAGE_FIELDS = {
@@ -181,7 +180,7 @@ def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
     """Identified modes of recordings with the columns of `modes.csv`; `mode` is empty where its number is unknown."""
     import pandas as pd  # noqa: PLC0415 - loaded when used
 
-    from modal_id.results import MODE_COLUMNS  # noqa: PLC0415 - loaded when used
+    from modal_id import MODE_COLUMNS  # noqa: PLC0415 - loaded when used
 
     columns = ["recording", *MODE_COLUMNS]
     frames = [pd.DataFrame(columns=pd.Index(columns))]

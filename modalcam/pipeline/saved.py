@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from modalcam.config.toml import dump_config
+from modalcam.config import dump_config
 from modalcam.errors import InputError
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult, RunResult
 from modalcam.plugins import load_plugins
-from modalcam.storage.cache import load
-from modalcam.storage.output_folder import RunRecord, Source, Workspace
+from modalcam.storage import RunRecord, Source, Workspace, load
 
 # Results that `simulate` starts from.
 MEASURED = ("tracks", "modes", "frames")
@@ -59,9 +58,9 @@ def load_recording(
     workspace: Workspace, record: RunRecord, source: Source, files: tuple[str, ...] = tuple(STAGE_FIELDS)
 ) -> RecordingResult:
     """One recording with those of its saved results that are in `files`; InputError if one cannot be read."""
-    from modal_id.results import FailedIdentification, Identification  # noqa: PLC0415 - heavy
+    from modal_id import FailedIdentification, Identification  # noqa: PLC0415 - heavy
     from modalcam.pipeline.track import with_displacement  # noqa: PLC0415
-    from tracker.results import FailedTracking, MarkerTracks  # noqa: PLC0415
+    from tracker import FailedTracking, MarkerTracks  # noqa: PLC0415
 
     found = {STAGE_FIELDS[name]: _result(workspace, record, source.name, name) for name in files}
     if source.failure and found["tracks"] is None:

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from modalcam.execution.pool import TaskFailure
+from modalcam.execution import TaskFailure
 from modalcam.names import shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context
-from modalcam.storage.provenance import RememberedHashes, recording_sha256
-from tracker.results import FailedTracking
+from modalcam.storage import RememberedHashes, recording_sha256
+from tracker import FailedTracking
 
 
 def hashed(

@@ -8,15 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.errors import InputError
-from modalcam.execution.frame_count import FrameCount
-from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
+from modalcam.execution import FrameCount, Progress, TaskFailure, WorkerPool
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
-from modalcam.storage.atomic import temporary_name
-from modalcam.storage.cache import load, save
-from modalcam.storage.output_folder import Workspace
-from modalcam.storage.provenance import code_state, stage_key
+from modalcam.storage import Workspace, code_state, load, save, stage_key, temporary_name
 
 Result = TypeVar("Result")
 

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modal_id.results import FailedIdentification, Identification
-from modalcam.config.resolve import tracker_settings
+from modal_id import FailedIdentification, Identification
+from modalcam.config import tracker_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
-from modalcam.video.results import KeptFrames, NoFootage
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
+from modalcam.video import KeptFrames, NoFootage
+from tracker import FailedTracking, MarkerTracks, displacement_series
 
 if TYPE_CHECKING:
-    from tracker.follow.follow_recording import Progress
-    from tracker.settings import TrackerSettings
+    from tracker import TrackerSettings
+    from tracker.follow import Progress
 
 
 def track_recording(
@@ -27,7 +26,7 @@ def track_recording(
 ) -> MarkerTracks | FailedTracking:
     """As `tracker.track.track`."""
     # Workers only: readers and kernels take longer to load than a report takes to write.
-    from tracker.track import track  # noqa: PLC0415
+    from tracker import track  # noqa: PLC0415
 
     return track(path, settings, recording=recording, progress=progress)
 
@@ -36,7 +35,7 @@ def keep_recorded(
     path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
 ) -> KeptFrames | NoFootage:
     """As `modalcam.video.kept_frames.read_kept_frames`."""
-    from modalcam.video.kept_frames import read_kept_frames  # noqa: PLC0415 - as above
+    from modalcam.video import read_kept_frames  # noqa: PLC0415 - as above
 
     return read_kept_frames(path, tracks, found, size_mm)
 

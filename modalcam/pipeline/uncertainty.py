@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode
 from modalcam.pipeline.results import RecordingResult
 
 

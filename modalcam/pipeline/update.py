@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from modalcam.config.resolve import beam_properties, updating_settings
+from modalcam.config import beam_properties, updating_settings
 from modalcam.errors import ConfigError
 from modalcam.pipeline.beam import modes_to_match, theory, updated_beam, usable_modes
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, run_together
 from modalcam.pipeline.track import KEEPING, frames_to_keep
-from sim.beam.modes import BeamModes
+from sim.beam import BeamModes
 from sim.updating import METHODS, MOST_ELEMENTS, FailedUpdating, UpdatePart, update_by
 
 THEORY: Stage[BeamModes | str] = Stage(

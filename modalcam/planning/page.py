@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modalcam.planning.results import ModePlan, Plan, TrialSummary
-from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.format import fixed, percent, significant
+from modalcam.report.style import environment, fixed, percent, significant, style_sheet
 
 _CAVEAT = (
     "± is one standard deviation, as in the report of a run. It covers camera noise and, for frequencies, "

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.config.toml import load_config
+from modalcam.config import ExperimentConfig, load_config
 from modalcam.errors import ConfigError
-from modalcam.execution.pool import Progress
+from modalcam.execution import Progress
 from modalcam.planning.predict import predict
 from modalcam.planning.request import plan_request
 from modalcam.planning.results import Plan
 from modalcam.planning.suggest import better_positions, frame_rates
 from modalcam.planning.trials import run_trials
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.beam import BuckledBeamError, NoEquilibriumError
 
 
 def plan(

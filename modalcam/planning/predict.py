@@ -8,19 +8,16 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from modal_id.data.prepare import MIN_SAMPLES
-from modal_id.posterior.cramer_rao import ModalBound, modal_bound
-from modal_id.segments.find_onset import settling_s
+from modal_id.data import MIN_SAMPLES
+from modal_id.posterior import ModalBound, modal_bound
+from modal_id.segments import settling_s
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import Limit, ModePlan
 from modalcam.planning.softening import frequency_per_amplitude_squared
 from modalcam.planning.template_error import template_factors
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.render.bound import position_bound_px
-from sim.render.camera import Camera
-from sim.render.markers import Marker
-from tracker.arrays import FloatArray
+from sim.beam import AncfBeam, beam_modes
+from sim.render import Camera, Marker, position_bound_px
+from tracker import FloatArray
 
 # Lengths of motion blur at which the bound of a position is computed; between them it is interpolated.
 _BLUR_POINTS = 7

@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.config.resolve import beam_properties
-from modalcam.config.schema import BeamConfig, ExperimentConfig, PlanConfig, RecordingConfig
+from modalcam.config import BeamConfig, ExperimentConfig, PlanConfig, RecordingConfig, beam_properties
 from modalcam.errors import ConfigError
 from modalcam.names import shown
-from modalcam.video.rendered_markers import rendered_markers
-from sim.beam.properties import BeamProperties
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
-from sim.render.camera import Camera
-from sim.render.markers import Marker
+from modalcam.video import rendered_markers
+from sim.beam import BeamProperties
+from sim.reference import MEASURED_DAMPING_RATIO
+from sim.render import Camera, Marker
 
 # Tip amplitude in mode 1; over the mode number squared, it bends every mode about equally.
 _TIP_OF_MODE_1_MM = 10.0

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import cumulative_trapezoid, trapezoid
 
-from sim.beam.modes import BeamModes
-from sim.beam.properties import BeamProperties
-from tracker.arrays import FloatArray
+from sim.beam import BeamModes, BeamProperties
+from tracker import FloatArray
 
 _POINTS = 2001
 

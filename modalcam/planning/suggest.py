@@ -10,7 +10,7 @@ import numpy as np
 from modalcam.planning.predict import motions, predict
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import BetterPositions, FrameRate, ModePlan
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _GRID = 101
 # Information on the worst mode that new positions must gain: a tenth less standard deviation.

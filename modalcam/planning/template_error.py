@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from tracker.arrays import FloatArray
-from tracker.position_errors import LOSSLESS_SHARE, harmonics
+from modal_id.data import bandwidth_hz, baseline_matrix
+from tracker import LOSSLESS_SHARE, FloatArray, harmonics
 
 # Enough samples for the share of the variance: the function of the pixel is smooth in the phase.
 _MOST_SAMPLES = 4000

@@ -12,25 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modal_id.identify import identify
-from modal_id.results import FailedIdentification, Identification, IdentifiedMode
-from modal_id.settings import IdentifySettings
-from modalcam.execution.pool import TaskFailure, worker_pool
+from modal_id import FailedIdentification, Identification, IdentifiedMode, IdentifySettings, identify
+from modalcam.execution import TaskFailure, worker_pool
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import TrialSummary
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
+from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import GenericDamping
-from sim.render.camera import Camera
-from sim.render.frames import expose, render_ideal
-from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
-from sim.render.video import write_video
-from tracker.arrays import FloatArray
-from tracker.displacement import displacement_series
-from tracker.results import MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.render import (
+    Camera,
+    Optics,
+    RecordingPlan,
+    StagedRecording,
+    expose,
+    render_ideal,
+    stage_recording,
+    write_video,
+)
+from tracker import FloatArray, MarkerTracks, TrackerSettings, displacement_series, track
 
 _MODES_SIMULATED = 8
 # Steady vibration before the stop, in cycles and seconds.

@@ -9,21 +9,25 @@ from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from typing import Any, Literal
 
-from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.model_scores import compared, model_scores
-from modalcam.pipeline.results import RunResult
-from modalcam.pipeline.uncertainty import budgets
-from modalcam.report.figures.base import FigureKind, Place, RecordingSubject
-from modalcam.report.figures.registry import figures_of, shown_in
-from modalcam.report.sections.alerts import MOST_PLACES, R_HAT_LIMIT, alerts, flag_meanings
-from modalcam.report.sections.comparison import findings, worst_ratios
-from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
-from modalcam.report.sections.recording import detail_for, recording_view
-from modalcam.report.sections.updating import updating_numbers, updating_rows
-from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.safe_text import trusted, unbroken
-from modalcam.storage.cache import Cache
-from sim.beam.modes import BeamModes
+from modalcam.pipeline import RunResult, budgets, compared, measured_modes, model_scores
+from modalcam.report.figures import FigureKind, Place, RecordingSubject, figures_of, shown_in
+from modalcam.report.sections import (
+    CLOSE_UP_SHOWN_PX,
+    MOST_PLACES,
+    R_HAT_LIMIT,
+    SHOWN_PER_S,
+    alerts,
+    detail_for,
+    findings,
+    flag_meanings,
+    recording_view,
+    updating_numbers,
+    updating_rows,
+    worst_ratios,
+)
+from modalcam.report.style import environment, style_sheet, trusted, unbroken
+from modalcam.storage import Cache
+from sim.beam import BeamModes
 
 Plots = Literal["interactive", "static"]
 _RECORDING_PLACES: tuple[Place, ...] = ("recording", "tracking")

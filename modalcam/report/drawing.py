@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modalcam.execution.pool import Progress, WorkerPool
-from modalcam.pipeline.results import RunResult
+from modalcam.execution import Progress, WorkerPool
+from modalcam.pipeline import RunResult
 from modalcam.report.build import shown_figures
-from modalcam.report.figures.registry import FIGURES
-from modalcam.storage.cache import Cache
+from modalcam.report.figures import FIGURES
+from modalcam.storage import Cache
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.config.toml import parse_config
+from modalcam.config import ExperimentConfig, parse_config
 from modalcam.errors import InputError, OutputError
 from modalcam.files import real
 from modalcam.names import shown

@@ -44,7 +44,7 @@ def file_sha256(path: Path) -> str:
 
 def recording_sha256(path: Path) -> str:
     """SHA-256 of a recording: of its file, or of the names and hashes of all files that it consists of."""
-    from tracker.video.registry import input_files  # noqa: PLC0415 - loads the readers
+    from tracker.video import input_files  # noqa: PLC0415 - loads the readers
 
     files = input_files(path)
     if files == (path,):
@@ -102,7 +102,7 @@ def _ascii(name: str | Path) -> str:
 
 
 def _stamp(recording: Path) -> list[list[Any]] | None:
-    from tracker.video.registry import input_files  # noqa: PLC0415 - loads the readers
+    from tracker.video import input_files  # noqa: PLC0415 - loads the readers
 
     try:
         states = [(file, file.stat()) for file in input_files(recording)]

@@ -8,23 +8,24 @@ from pathlib import Path
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import stability_diagram
-from modal_id.flags import ModeFlag
-from modal_id.identify import identify
-from modal_id.results import FailedIdentification, Identification
-from modal_id.segments.divide import DRIVEN_CHANGE
-from modal_id.settings import IdentifyOptions, IdentifySettings
-from modal_id.solve.poles import frequency_hz
-from modalcam.config.schema import RecordingConfig
+from modal_id import (
+    FailedIdentification,
+    Identification,
+    IdentifyOptions,
+    IdentifySettings,
+    ModeFlag,
+    identify,
+)
+from modal_id.data import FitData
+from modal_id.fit import nyquist_hz, stability_diagram
+from modal_id.segments import DRIVEN_CHANGE
+from modal_id.solve import frequency_hz
+from modalcam.config import RecordingConfig
 from modalcam.errors import InputError
-from modalcam.pipeline.saved import load_recording
-from modalcam.storage.output_folder import Workspace
+from modalcam.pipeline import load_recording
+from modalcam.storage import Workspace
 from modalcam.studio.decoding import Problem
-from tracker.arrays import FloatArray
-from tracker.displacement import displacement_series
-from tracker.results import DisplacementSeries, MarkerTracks
+from tracker import DisplacementSeries, FloatArray, MarkerTracks, displacement_series
 
 # Points of a drawn curve: the smallest and the largest of each of half as many parts of the record.
 _MOST_POINTS = 3000

@@ -12,9 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tracker.video.base import UnreadableVideoError
-from tracker.video.gray import to_8_bit
-from tracker.video.random_access import frame_stamps, read_frame
+from tracker.video import UnreadableVideoError, frame_stamps, read_frame, to_8_bit
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, config_of_text, config_text
+from modalcam.config import CONFIG_NAME, ExperimentConfig, RecordingConfig, config_of_text, config_text
 from modalcam.errors import ConfigError, OutputError
-from modalcam.storage.atomic import write_json, write_text
+from modalcam.storage import write_json, write_text
 from modalcam.studio.edits import Value, entry_of, section_of, with_option, with_options_of
 
 _BOM = "\ufeff"

@@ -8,7 +8,7 @@ from typing import Any
 import tomlkit
 import tomlkit.exceptions
 
-from modalcam.config.schema import CameraConfig
+from modalcam.config import CameraConfig
 from modalcam.errors import ConfigError
 
 Value = str | int | float | list[Any]

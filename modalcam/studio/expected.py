@@ -6,16 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.identify import identify_free_decay
-from modal_id.results import Identification
-from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import pole
-from modal_id.solve.waves import mode_functions
+from modal_id import Identification, IdentifySettings, identify_free_decay
+from modal_id.solve import mode_functions, pole
 from modalcam.studio.decay import amplitude_spectrum
 from modalcam.studio.decoding import Problem
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.displacement import displacement_series
-from tracker.results import DisplacementSeries, MarkerTracks
+from tracker import ComplexArray, DisplacementSeries, FloatArray, MarkerTracks, displacement_series
 
 # Damping is not known before the run: a steel strip, a bolted joint, a lossy one.
 USUAL_DAMPING_RATIOS = (0.001, 0.003, 0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from typing import TYPE_CHECKING, Any
 
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 from modalcam.errors import ModalcamError
 from modalcam.studio.draft import Draft
 from modalcam.studio.edits import Value

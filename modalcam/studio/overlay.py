@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 
 Point = tuple[float, float]
 # Side of a patch's window that is drawn where its size is chosen by the texture.

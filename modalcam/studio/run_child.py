@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from modalcam.errors import ExitCode, ModalcamError
-from modalcam.execution.pool import Progress
+from modalcam.execution import Progress
 
 
 @dataclass(frozen=True)

@@ -11,29 +11,24 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, TypeVar
 
-from modalcam.config.resolve import tracker_settings
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME
+from modalcam.config import CONFIG_NAME, ExperimentConfig, RecordingConfig, tracker_settings
 from modalcam.errors import ConfigError, InputError, ModalcamError
-from modalcam.execution.frame_count import FrameCount
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
+from modalcam.execution import FrameCount, Limits, TaskFailure, WorkerPool, worker_pool
 from modalcam.files import real
-from modalcam.inputs.discover import Discovery, Found, discover
-from modalcam.inputs.probe import Probe, probe_recordings
+from modalcam.inputs import Discovery, Found, Probe, discover, probe_recordings
 from modalcam.names import shown
-from modalcam.storage.output_folder import Workspace
+from modalcam.storage import Workspace
 from modalcam.studio.decoding import FrameTask, Problem, frame_png, stamps_of
 from modalcam.studio.draft import Draft
 from modalcam.studio.run_child import RunRequest
 from modalcam.studio.running import Runner
 
 if TYPE_CHECKING:
-    from modal_id.results import FailedIdentification, Identification
+    from modal_id import FailedIdentification, Identification
     from modalcam.studio.decay import Decay
     from modalcam.studio.expected import ExpectedIntervals
     from modalcam.studio.trial import DetectedMarker, Proposals, Trial, TrialTask
-    from tracker.results import FailedTracking, MarkerTracks
+    from tracker import FailedTracking, MarkerTracks
 
     # Tracks, options, and what was identified with them.
     _IdentifiedTrial = tuple[MarkerTracks, RecordingConfig, Identification | FailedIdentification | Problem]
@@ -171,7 +166,7 @@ class Studio:
     def track_some(self, number: int, frames: int, first: int = 0) -> Trial | FailedTracking:
         """Test track of some frames of a recording, from `first` on, with the options of the draft."""
         from modalcam.studio.trial import trial_track  # noqa: PLC0415 - heavy
-        from tracker.results import FailedTracking  # noqa: PLC0415
+        from tracker import FailedTracking  # noqa: PLC0415
 
         task = self._trial_task(number, frames)
         found: Trial | FailedTracking | Problem
@@ -234,14 +229,14 @@ class Studio:
 
     def decay_of_trial(self, number: int, channel: str | None = None) -> Decay | Problem:
         """What the test track of a recording shows, identified with the options of the draft."""
-        from modal_id.results import Identification  # noqa: PLC0415 - heavy
+        from modal_id import Identification  # noqa: PLC0415 - heavy
         from modalcam.studio.decay import (  # noqa: PLC0415
             TrialDecayTask,
             identified_trial,
             shown_decay,
             without_driven,
         )
-        from tracker.displacement import displacement_series  # noqa: PLC0415
+        from tracker import displacement_series  # noqa: PLC0415
 
         last = self.trial(number)
         if last is None:

@@ -10,21 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from modalcam.execution.frame_count import FrameCount
+from modalcam.execution import FrameCount
 from modalcam.studio.decoding import Problem
 from modalcam.studio.overlay import Point
 from modalcam.studio.trial_windows import FollowedWindow, evenly, followed_windows
-from tracker.arrays import GrayImage
-from tracker.line.find import NoMovingLine, find_line
-from tracker.markers.base import NothingFound
-from tracker.markers.left_out import filled
-from tracker.markers.proposals import propose_points
-from tracker.markers.registry import detect_markers
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import LEAST_FRAMES, track_source
-from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
-from tracker.video.registry import open_recording
+from tracker import LEAST_FRAMES, FailedTracking, GrayImage, MarkerTracks, TrackerSettings, track_source
+from tracker.line import NoMovingLine, find_line
+from tracker.markers import NothingFound, detect_markers, filled, propose_points
+from tracker.video import Frame, FrameSource, SourceInfo, UnreadableVideoError, open_recording
 
 # Frames in which markers are sought.
 DETECTION_FRAMES = 32

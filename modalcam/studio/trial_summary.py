@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modalcam.studio.trial_windows import evenly
-from tracker.arrays import FloatArray
-from tracker.results import MarkerTracks
+from tracker import FloatArray, MarkerTracks
 
 if TYPE_CHECKING:
     from modalcam.studio.trial import Trial

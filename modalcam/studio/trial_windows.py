@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
-from tracker.results import MarkerTracks
+from tracker import FloatArray, GrayImage, MarkerTracks
 
 Picture = NDArray[np.uint8]
 _USUAL_HALF_PX, _LARGEST_HALF_PX = 16, 64

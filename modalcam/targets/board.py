@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from modalcam.errors import ModalcamError
 from modalcam.targets.markers import aruco_dictionary, marker_cells
 from modalcam.targets.sheet import HEAD_MM, MARGIN_MM, cell_boxes, draw_boxes, new_page, paper_size
-from tracker.geometry.charuco import Board
+from tracker.geometry import Board
 
 
 def check_board(board: Board) -> None:

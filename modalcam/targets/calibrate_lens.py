@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from modalcam.errors import InputError
 from modalcam.names import shown
-from modalcam.storage.atomic import write_text
+from modalcam.storage import write_text
 from modalcam.targets.board import check_board
-from tracker.geometry.charuco import Board, LensCalibration, calibrate_lens
-from tracker.video.base import UnreadableVideoError
-from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
+from tracker.geometry import Board, LensCalibration, calibrate_lens
+from tracker.video import IMAGE_SUFFIXES, ImageFiles, UnreadableVideoError
 
 
 def calibrate_folder(folder: Path, board: Board) -> LensCalibration:

@@ -22,7 +22,7 @@ from modalcam.targets.sheet import (
     paper_size,
     write_text,
 )
-from tracker.markers.codes import dictionary_names
+from tracker.markers import dictionary_names
 
 LABEL_MM = 3.0
 MAX_MARKERS = 10_000

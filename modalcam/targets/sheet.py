@@ -17,7 +17,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from modalcam.errors import ModalcamError
-from modalcam.storage.atomic import replacing
+from modalcam.storage import replacing
 
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
 MARGIN_MM = 10.0

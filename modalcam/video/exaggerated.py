@@ -12,12 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.storage.atomic import replacing
+from modal_id import Identification, IdentifiedMode
+from modalcam.storage import replacing
 from modalcam.video.results import NoFootage
 from modalcam.video.track_preview import encode, write_label
-from tracker.arrays import FloatArray
-from tracker.results import MarkerTracks
+from tracker import FloatArray, MarkerTracks
 
 FRAMES = 24
 # The largest exaggerated displacement, in lengths of the line, where no factor is given.

@@ -8,20 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.config.resolve import beam_properties
-from modalcam.config.schema import REQUIRED_OF_BEAM, BeamConfig, ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
+from modalcam.config import (
+    CONFIG_NAME,
+    REQUIRED_OF_BEAM,
+    BeamConfig,
+    ExperimentConfig,
+    RecordingConfig,
+    beam_properties,
+    dump_config,
+    load_config,
+)
 from modalcam.errors import ConfigError, ModalcamError, OutputError
-from modalcam.execution.pool import Progress
-from modalcam.storage.atomic import replacing, write_text
+from modalcam.execution import Progress
+from modalcam.storage import replacing, write_text
 from modalcam.video.rendered_markers import rendered_markers
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
-from sim.render.strip.bare_strip import BareStrip, Stripe, Surface
-from sim.render.texture import Texture
-from sim.render.video import write_video
+from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
+from sim.render import Optics, RecordingPlan, StagedRecording, Texture, stage_recording, write_video
+from sim.render.strip import BareStrip, Stripe, Surface
 
 # High-speed cameras store this playback rate, whatever the recorded rate.
 PLAYBACK_FPS = Fraction(30)

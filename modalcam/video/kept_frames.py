@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
+from modal_id import Identification, IdentifiedMode
 from modalcam.video.results import KeptFrames, NoFootage
-from tracker.arrays import FloatArray, GrayImage
-from tracker.results import MarkerTracks
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import open_recording
+from tracker import FloatArray, GrayImage, MarkerTracks
+from tracker.video import UnreadableVideoError, open_recording
 
 # Enough frames to show two periods, and pixels of each frame.
 _MOST_FRAMES = 28

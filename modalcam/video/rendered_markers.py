@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim.render.markers import ArucoMarker, DotMarker, Marker
-from tracker.markers.base import MarkerKind
-from tracker.markers.registry import MARKER_KINDS
+from sim.render import ArucoMarker, DotMarker, Marker
+from tracker.markers import MARKER_KINDS, MarkerKind
 
 _DEFAULT_DICTIONARY = "DICT_4X4_50"
 

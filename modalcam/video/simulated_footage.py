@@ -8,23 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification
-from modalcam.config.schema import RecordingConfig
+from modal_id import Identification
+from modalcam.config import RecordingConfig
 from modalcam.video.kept_frames import reduced, to_gray
 from modalcam.video.rendered_markers import rendered_markers
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.damping import DampingModel
-from sim.dynamics.trajectory import FailedSimulation
-from sim.render.camera import Camera
-from sim.render.frames import render_frames
-from sim.render.markers import Marker
-from sim.render.motion import SampledMotion
-from sim.render.scene import Scene, Strip
-from sim.render.simulated_motion import SimulatedMotion, simulated_motion
-from tracker.arrays import FloatArray
-from tracker.markers.registry import MARKER_KINDS
-from tracker.results import MarkerTracks
+from sim.dynamics import FailedSimulation
+from sim.render import (
+    Camera,
+    Marker,
+    SampledMotion,
+    Scene,
+    SimulatedMotion,
+    Strip,
+    render_frames,
+    simulated_motion,
+)
+from tracker import FloatArray, MarkerTracks
+from tracker.markers import MARKER_KINDS
 
 _STRIP_POINTS = 81
 _LENS_BLUR_PX = 0.6

@@ -15,13 +15,9 @@ from numpy.typing import NDArray
 from modalcam.errors import InputError
 from modalcam.files import real
 from modalcam.names import shown
-from modalcam.storage.atomic import replacing
-from tracker import flags
-from tracker.arrays import GrayImage
-from tracker.results import MarkerTracks
-from tracker.video.base import UnreadableVideoError
-from tracker.video.gray import to_8_bit
-from tracker.video.registry import open_recording
+from modalcam.storage import replacing
+from tracker import GrayImage, MarkerTracks, flags
+from tracker.video import UnreadableVideoError, open_recording, to_8_bit
 
 SUFFIXES = (".mp4", ".mkv", ".mov")
 PLAYBACK_FPS = Fraction(30)

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from sim.beam.ancf_kernels import elastic
 from sim.beam.banded import BAND, PAD
 from sim.beam.properties import BeamProperties, Orientation
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 DEFAULT_GAUSS_POINTS = 3
 # translational stiffness of an elastic clamp where none is given, as a multiple of an element's axial stiffness

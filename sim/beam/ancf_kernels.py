@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from sim.beam.banded import BAND, PAD, band_product
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 PAD = 7
 BAND = 2 * PAD + 1

@@ -11,7 +11,7 @@ import numpy as np
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes, beam_modes
 from sim.beam.properties import STANDARD_GRAVITY_M_S2, BeamProperties, ElasticClamp, Orientation, PointMass
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # number of modes that the paper identifies
 DEFAULT_MODES = 5

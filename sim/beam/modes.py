@@ -10,7 +10,7 @@ import numpy as np
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.banded import decoupled
 from sim.beam.statics import static_equilibrium
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

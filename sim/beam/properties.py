@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 STANDARD_GRAVITY_M_S2 = 9.80665

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.banded import PAD
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
 GREENHILL_LOAD = 7.8373

@@ -9,17 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from modal_id.results import Identification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from modal_id import Identification
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
 from sim.comparison.scores import SD_OF_90
 from sim.damping import DampingModel
-from sim.dynamics.trajectory import FailedSimulation, State
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, State
+from tracker import FloatArray
 
 # draws per candidate, enough for a 90 % bound to within a tenth of its half width
 BAND_DRAWS = 32

@@ -11,16 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from modal_id.results import (
-    DisplacementSeries,
-    FailedIdentification,
-    FittedMode,
-    Identification,
-)
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from modal_id import DisplacementSeries, FailedIdentification, FittedMode, Identification
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison.bands import Candidate, Simulated, shape_sd, simulate_candidates, start_draws
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes

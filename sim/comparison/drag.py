@@ -24,12 +24,12 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from sim.beam.modes import BeamModes
+from sim.beam import BeamModes
 from sim.comparison.problem import DecaySetting
 from sim.comparison.scores import SD_OF_90, correlated_square
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
-from sim.dynamics.trajectory import FailedSimulation
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation
+from tracker import FloatArray
 
 # significance of the slope in standard deviations; smaller slopes also result from large rotation
 _SHOWS = 3.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # least number of periods and of samples in a window, which holds whole periods of the mode
 _PERIODS, _SAMPLES = 2, 12

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
-from sim.beam.modes import BeamModes
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id import Identification, IdentifiedMode
+from sim.beam import BeamModes
+from tracker import ComplexArray, FloatArray
 
 # largest relative distance in frequency at which an identified mode without a number is matched to a beam mode
 NEAR = 0.15

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import FittedMode, Identification, IdentifiedMode
+from modal_id import FittedMode, Identification, IdentifiedMode
 from sim.comparison.bands import Simulated
 from sim.comparison.errors import envelope_and_phase_error
 from sim.comparison.problem import DecaySetting
@@ -21,7 +21,7 @@ from sim.comparison.scores import (
     score_difference,
     score_sum,
 )
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 def noise_sd_mm(

@@ -8,15 +8,12 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from modal_id.results import Identification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes
+from modal_id import Identification
+from sim.beam import AncfBeam, BeamModes
 from sim.comparison.matching import MatchedModes
 from sim.damping import DampingModel
-from sim.dynamics.excitation import state_with_coordinates
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import FailedSimulation, State
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, State, simulate, state_with_coordinates
+from tracker import FloatArray
 
 _LONGEST_STEP_S = 5e-4
 # for differences between simulations, whose common error of the step cancels

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import SD_OF_90, ScoreSum
 from sim.damping import DAMPING_MODELS
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # half width of the central 90 % of a normal distribution, in standard deviations
 SD_OF_90 = 1.6448536269514722

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     # the configuration reads the registry, and the beam's kernels are slow to load
-    from sim.beam.modes import BeamModes
+    from sim.beam import BeamModes
 
 
 @dataclass(frozen=True)

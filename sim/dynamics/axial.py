@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.beam.banded import PAD, REORDER
+from sim.beam import PAD, REORDER
 from sim.dynamics.forces import Axial, Gradients, first_coordinate, spread
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # share of the step's displacement gradient in the linearised tangent: between the middle, on which the force acts, and
 # the end, which changes the strain

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.modes import BeamModes
-from sim.beam.statics import NoEquilibriumError, static_equilibrium
+from sim.beam import AncfBeam, BeamModes, NoEquilibriumError, from_band, static_equilibrium
 from sim.damping import DampingModel
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # iterations of Newton's method on the loads, and the relative error of the largest coordinate at convergence
 _STATE_ROUNDS, _STATE_TOLERANCE = 30, 1e-9

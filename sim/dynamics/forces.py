@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.beam.banded import PAD, REORDER
-from tracker.arrays import FloatArray
+from sim.beam import PAD, REORDER
+from tracker import FloatArray
 
 
 class Axial(NamedTuple):

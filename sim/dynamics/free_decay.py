@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.beam.beam import Beam, ancf_beam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
+from sim.beam import Beam, BeamProperties, ancf_beam, beam_modes
 from sim.damping import DampingModel, GenericDamping
 from sim.dynamics.excitation import released_state
 from sim.dynamics.simulate import DEFAULT_FITTED_MODES, simulate
 from sim.dynamics.trajectory import FailedSimulation, Trajectory
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

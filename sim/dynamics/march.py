@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.beam.banded import PAD, REORDER, add_product
+from sim.beam import PAD, REORDER, add_product
 from sim.dynamics.axial import keep_strain
 from sim.dynamics.forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate
 from sim.dynamics.newton import (
@@ -27,7 +27,7 @@ from sim.dynamics.newton import (
     project,
     solve_step,
 )
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
 DONE = 0
 DIVERGED = 1

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.modes import BeamModes
+from sim.beam import BeamModes
 from sim.damping import DampingCoefficients
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # omega h above which a mode is not corrected: its midpoint frequency is far off, and higher modes are not resolved
 _LARGEST_FITTED_PHASE = 1.2

@@ -12,17 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.beam.banded import (
-    COLUMN,
-    PAD,
-    REORDER,
-    add_product,
-    factor_symmetric,
-    solve_symmetric,
-)
+from sim.beam import COLUMN, PAD, REORDER, add_product, factor_symmetric, solve_symmetric
 from sim.dynamics.axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
 from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
 _ITERATIONS = 20
 # multiple of the tolerance below which increments that stop decreasing are attributed to round-off

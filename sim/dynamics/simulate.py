@@ -17,16 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, shape_functions
-from sim.beam.banded import decoupled, diagonals, lower_columns
-from sim.beam.modes import BeamModes, beam_modes
+from sim.beam import AncfBeam, BeamModes, beam_modes, decoupled, diagonals, lower_columns, shape_functions
 from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.dynamics.forces import Air, Axial
 from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
 from sim.dynamics.modal_terms import ModalTerms, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 DEFAULT_FITTED_MODES = 8
 # levels of step halving, the full step included, before the simulation fails

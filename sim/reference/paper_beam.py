@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties, Orientation, PointMass
-from tracker.arrays import FloatArray
+from sim.beam import BeamProperties, Orientation, PointMass
+from tracker import FloatArray
 
 MEASURED_FREQUENCY_HZ = (1.85, 10.19, 26.84, 53.20, 88.60)
 MEASURED_DAMPING_RATIO = (0.0100, 0.0028, 0.0028, 0.0023, 0.0030)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.beam.properties import BeamProperties, Orientation
+from sim.beam import BeamProperties, Orientation
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
 
 

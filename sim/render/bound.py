@@ -11,7 +11,7 @@ from sim.render.frames import render_ideal
 from sim.render.markers import ArucoMarker, Marker
 from sim.render.motion import Poses
 from sim.render.scene import Scene
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # steps of the central differences, whose relative error is of the order of (step / lens blur)^2
 _STEP_PX = 0.01

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # below this the quadrature over a pixel would need too many points
 MIN_LENS_BLUR_PX = 0.1

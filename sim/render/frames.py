@@ -16,9 +16,8 @@ from sim.render.markers import MarkerTable
 from sim.render.motion import Poses
 from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene, Strip
-from sim.render.strip.bare_strip import BareStrip
-from sim.render.strip.strip_image import StripImage
-from tracker.arrays import FloatArray
+from sim.render.strip import BareStrip, StripImage
+from tracker import FloatArray
 
 # frames whose poses are evaluated at a time: enough for an efficient call, little memory
 BLOCK = 64

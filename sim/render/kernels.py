@@ -9,7 +9,7 @@ from numba import njit
 from numpy.polynomial import hermite
 from scipy.special import erf
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # As in sim.render.markers: standard deviations beyond which a blurred edge is complete.
 REACH = 5.5

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import i0e, ndtr
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # standard deviations beyond which a blurred edge is complete: ndtr(-5.5) = 2e-8
 REACH = 5.5

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from math import ceil, exp, lgamma, log
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # largest error of one integral, as a fraction of the contrast: 0.001 counts of 8 bit
 TOLERANCE = 4.0e-6

@@ -11,20 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
+from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import DampingModel
-from sim.dynamics.excitation import shake_and_stop
-from sim.dynamics.trajectory import FailedSimulation, Trajectory
+from sim.dynamics import FailedSimulation, Trajectory, shake_and_stop
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, true_centres_px, true_line_px
 from sim.render.markers import Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
-from sim.render.strip.bare_strip import BareStrip, Surface
+from sim.render.strip import BareStrip, Surface
 from sim.render.texture import Texture
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest.
 _STEPS_PER_CYCLE = 24

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from sim.render.markers import Marker
 from sim.render.motion import Motion
-from sim.render.strip.bare_strip import BareStrip
+from sim.render.strip import BareStrip
 from sim.render.texture import Texture
 
 

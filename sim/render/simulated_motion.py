@@ -7,17 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from modal_id.results import Identification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
-from sim.comparison.matching import match_modes
-from sim.comparison.problem import decay_setting
+from modal_id import Identification
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
+from sim.comparison import decay_setting, match_modes
 from sim.damping import DampingModel
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import FailedSimulation
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, simulate
+from tracker import FloatArray
 
 _MODES = 8
 # steps beyond the times requested: for a frame's exposure and the ends of a spline

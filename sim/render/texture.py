@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # waves in the sum: enough for a nearly normal distribution of gray levels
 _WAVES = 96

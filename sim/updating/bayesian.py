@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.beam_family import BeamFamily
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import Misfits, draw, maximum
 from sim.updating.prior import SmoothPrior
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 DEFAULT_DRAWS = 400
 # effective share of the draws below which intervals are unreliable

@@ -28,12 +28,11 @@ from functools import cached_property
 
 import numpy as np
 
-from sim.beam.modes import eigenmodes
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties, eigenmodes
 from sim.updating.matrices import BeamMatrices, BeamStates
 from sim.updating.measured_modes import MeasuredShape
 from sim.updating.sensitivity import changes
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # beams whose matrices are held in memory at a time
 _CHUNK = 64

@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.bayesian import whiten
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import draw, maximum
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform_beam import uniform_basis
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
 _DEFAULT_PRIOR = SmoothPrior()

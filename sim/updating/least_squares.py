@@ -13,10 +13,10 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.linalg import solve_triangular
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.beam_family import BeamFamily
 from sim.updating.measured_modes import MeasuredModes
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # weight of the distance from the start, in bounds, relative to misfits in standard deviations: it determines only what
 # the data do not, and shifts the frequencies by less than 1e-7

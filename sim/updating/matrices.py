@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.ancf import HELD_BY, AncfBeam, shape_functions
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import static_equilibrium
-from tracker.arrays import FloatArray
+from sim.beam import HELD_BY, AncfBeam, BeamProperties, shape_functions, static_equilibrium
+from tracker import FloatArray
 
 # of real or complex numbers
 Array = NDArray[Any]

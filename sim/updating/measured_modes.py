@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
 # relative standard deviation of the model error of a frequency (clamp, amplitude, air); that of the mesh is added for
 # each mode

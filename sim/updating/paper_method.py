@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within, smallest_bound
 from sim.updating.measured_modes import MeasuredModes
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
 _AT_BOUND = 1e-6
 # further starting points, which show how far the solution depends on the start

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # z, (n, k), to misfits, (n, m), and their slopes, (n, m, k)
 Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.updating.uniform_beam import uniform_basis
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # directions with a prior variance below this share of the largest change no frequency by 1e-6
 _NEGLIGIBLE = 1e-8

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim.updating.matrices import BeamMatrices, BeamStates, scaled_solve
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 def changes(

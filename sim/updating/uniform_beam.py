@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.paper_method import check_bound
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # a combination is determined if its standard deviation is below this share of the bound
 _KNOWN_SHARE = 0.5

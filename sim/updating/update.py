@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.beam import BeamProperties, BuckledBeamError, NoEquilibriumError
 from sim.updating.bayesian import DEFAULT_DRAWS, BayesianUpdate, UndecidedError, update_bayesian
 from sim.updating.evidence import ModelComparison, compare_models
 from sim.updating.measured_modes import MODEL_SD, MeasuredModes
 from sim.updating.paper_method import PaperUpdate, update_like_paper
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform_beam import UniformUpdate, update_uniform
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,17 +11,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from modalcam.config.toml import parse_config
+from modalcam.config import parse_config
 from modalcam.errors import ConfigError, ExitCode, InputError
-from modalcam.inputs.discover import discover
-from modalcam.inputs.series import series_from_table, tracks_from_table
-from modalcam.inputs.table import Table, read_table
-from modalcam.targets.calibrate_lens import calibrate_folder
-from tracker.geometry.charuco import Board
-from tracker.results import TRACK_COLUMNS
-from tracker.video.base import UnreadableVideoError
-from tracker.video.headers.photron_header import read_photron_header
-from tracker.video.tiff import TiffSource, is_stack
+from modalcam.inputs import Table, discover, read_table, series_from_table, tracks_from_table
+from modalcam.targets import calibrate_folder
+from tracker import TRACK_COLUMNS
+from tracker.geometry import Board
+from tracker.video import TiffSource, UnreadableVideoError, is_stack
+from tracker.video.headers import read_photron_header
 
 
 def write_png(path, width, height):

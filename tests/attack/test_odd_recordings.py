@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 
-from modalcam.inputs.discover import discover
-from modalcam.inputs.probe import probe_folder
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import open_recording
+from modalcam.inputs import discover, probe_folder
+from tracker import TrackerSettings, track
+from tracker.video import UnreadableVideoError, open_recording
 
 # Without a kind, `probe` would look for the codes of every dictionary in each frame, which takes most of its time.
 KIND = '[markers]\nkind = "blob"\n'

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from modalcam.cli import app
 from modalcam.commands import Options, identify
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 from modalcam.execution import pool
 
 ODD = {

@@ -7,7 +7,7 @@ from scipy.stats import chi2, norm
 
 from benchmarks.film_scenes import Film
 from benchmarks.films import row, run_film, table, tracked
-from tracker.displacement import displacement_series
+from tracker import displacement_series
 
 SHORT, LONG = 600, pytest.param(1500, marks=pytest.mark.slow)
 

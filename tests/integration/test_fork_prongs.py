@@ -8,12 +8,8 @@ import pytest
 from scipy.optimize import least_squares
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, flags, track
 
 FORKS = REALDATA / "tuning_forks"
 CLIP = next(iter(sorted(FORKS.glob("tuning_hz32_fps1000*.mp4"))), None)

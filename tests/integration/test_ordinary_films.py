@@ -14,11 +14,8 @@ from support.moving_targets import (
     swing_px,
 )
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, track
 
 
 def identified(path, settings):

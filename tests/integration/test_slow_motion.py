@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, flags, track
 
 FREQUENCY_HZ, ZETA = 23.0, 0.012
 PARTS = ((45, 30), (500, 960), (45, 30))

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from modal_id.identify import fit_free_decay
-from modal_id.results import FailedIdentification
-from tracker.results import DisplacementSeries
+from modal_id import FailedIdentification, fit_free_decay
+from tracker import DisplacementSeries
 
 TIME_S = np.arange(0.0, 2.0, 1.0 / 250.0)
 

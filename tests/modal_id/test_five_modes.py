@@ -5,10 +5,10 @@ import pytest
 from scipy.stats import chi2
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.modes.shapes import mac
-from modal_id.solve.poles import damping_ratio, frequency_hz
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.modes import mac
+from modal_id.solve import damping_ratio, frequency_hz
 
 POSITIONS_MM = np.linspace(60.0, 490.0, 8)
 SHAPES = clamped_free_shapes(POSITIONS_MM)

@@ -13,8 +13,7 @@ from support.modal_decays import (
 )
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ from support.modal_decays import (
     series_of,
 )
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 EIGHT_MM = np.linspace(60.0, 490.0, 8)
 

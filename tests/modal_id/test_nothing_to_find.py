@@ -4,13 +4,11 @@ from scipy.signal import lfilter
 from support.modal_decays import coloured, one_mode, pole_of, series_of
 from support.sampling import QUICK
 
-from modal_id.data.prepare import MIN_SAMPLES
-from modal_id.identify import identify
-from modal_id.modes.numbering import choose_target
-from modal_id.settings import IdentifySettings, SamplerSettings
-from tracker.settings import TrackerSettings
-from tracker.track import LEAST_FRAMES, track_source
-from tracker.video.base import SourceInfo
+from modal_id import IdentifySettings, SamplerSettings, identify
+from modal_id.data import MIN_SAMPLES
+from modal_id.modes import choose_target
+from tracker import LEAST_FRAMES, TrackerSettings, track_source
+from tracker.video import SourceInfo
 
 T = np.arange(2000) / 500.0
 

@@ -11,8 +11,7 @@ from support.ordinary_records import (
 )
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 # Of a cosine of 4.265 Hz whose amplitude falls by 0.0045 of its phase.
 STOPPED = (4.265 * np.hypot(1.0, 0.0045), 0.0045 / np.hypot(1.0, 0.0045))

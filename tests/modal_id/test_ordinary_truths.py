@@ -18,9 +18,8 @@ from support.ordinary_records import (
 )
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
 
 MOST_SD, MOST_BOUNDS = 3.0, 5.0
 

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from support.random_records import random_record
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 # An answer is wrong beyond this number of stated standard deviations and beyond this share of the truth.
 MOST_SD = 4.0

@@ -9,7 +9,7 @@ import pytest
 from support.paths import ROOT
 from support.sim_decays import identification
 
-from modal_id.results import MODE_COLUMNS, DrivenMotion
+from modal_id import MODE_COLUMNS, DrivenMotion
 
 mpl.use("Agg")
 

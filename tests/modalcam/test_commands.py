@@ -16,11 +16,10 @@ from support.paths import ROOT
 from modalcam import commands, plugins
 from modalcam.commands import Options, _find, _inputs_key, report
 from modalcam.errors import InputError, ModalcamError
-from modalcam.execution.pool import Progress
-from modalcam.inputs.discover import Selection
-from modalcam.pipeline.saved import load_run
-from modalcam.storage.output_folder import Workspace
-from modalcam.storage.provenance import RememberedHashes, file_sha256
+from modalcam.execution import Progress
+from modalcam.inputs import Selection
+from modalcam.pipeline import load_run
+from modalcam.storage import RememberedHashes, Workspace, file_sha256
 from sim.damping import registry
 
 pytestmark = pytest.mark.timeout(600)

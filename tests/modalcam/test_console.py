@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from modalcam.cli.app import app
+from modalcam.cli import app
 from modalcam.console import FramePace, finish, problems, tracked
 from modalcam.errors import ExitCode, ModalcamError
 

@@ -6,9 +6,9 @@ import pytest
 
 from modalcam import plugins
 from modalcam.errors import InputError
-from modalcam.execution.pool import worker_pool
+from modalcam.execution import worker_pool
 from modalcam.plugins import is_ours, load_plugins, loaded_plugins, source_sha256
-from modalcam.storage.provenance import code_state
+from modalcam.storage import code_state
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px
 from support.render_truth import centroid
 
 from modalcam.commands import Options
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.errors import InputError
-from modalcam.execution.pool import Progress
-from modalcam.pipeline.saved import load_run
+from modalcam.execution import Progress
+from modalcam.pipeline import load_run
 from modalcam.render import film_run
-from modalcam.video.results import SimulatedFootage
+from modalcam.video import SimulatedFootage
 
 
 def frames_of(path):

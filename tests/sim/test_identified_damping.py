@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from docs.reference_solutions import small_decay
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings, SamplerSettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import IdentifySettings, SamplerSettings, identify
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-from tracker.results import DisplacementSeries
+from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
+from tracker import DisplacementSeries
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,18 @@ from scipy.optimize import brentq
 from support.exact_curvature import ExactCurvatureBeam
 from support.paths import REALDATA, REALDATA_ABSENT, ROOT
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
-from sim.beam.statics import BuckledBeamError, static_equilibrium
+from sim.beam import (
+    AncfBeam,
+    BeamProperties,
+    BuckledBeamError,
+    ElasticClamp,
+    PointMass,
+    beam_modes,
+    static_equilibrium,
+)
 from sim.damping import GenericDamping, NoDamping, StillAir, WithAirDrag
-from sim.dynamics.excitation import released_state
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, State
-from sim.reference.paper_beam import paper_beam
+from sim.dynamics import BaseMotion, State, released_state, simulate
+from sim.reference import paper_beam
 
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 TIP = np.array([L])

@@ -5,18 +5,12 @@ from fractions import Fraction
 import numpy as np
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import IdentifySettings, identify
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, StillAir, WithAirDrag
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
-from sim.render.markers import DotMarker
-from sim.render.recording import Optics, RecordingPlan, stage_recording
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
+from sim.render import DotMarker, Optics, RecordingPlan, stage_recording, write_video
+from tracker import TrackerSettings, displacement_series, track
 
 POSITIONS_MM = np.array([2.0, 90.0, 190.0, 290.0, 390.0, 490.0])
 DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, 0.003)

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from support import reader_cases as cases
 
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import open_recording
+from tracker.video import UnreadableVideoError, open_recording
 
 
 def damaged(data, rng):

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.line_scenes import LineScene
-from tracker.line.calibrate import calibrate_line
-from tracker.line.follower import LineFollower
-from tracker.line.model import LineModel
-from tracker.template.noise import estimate_noise
+from tracker.line import LineFollower, LineModel, calibrate_line
+from tracker.template import estimate_noise
 
 # A short line in a small image, so that drawing takes 10 ms a frame.
 SMALL = {"length_px": 110.0, "shape": (150, 76), "clamp_px": (38.3, 16.6), "tip_px": (4.0, 1.0)}

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from sim.render.strip.bending import cantilever_slope
-from tracker.results import DisplacementSeries
+from sim.render.strip import cantilever_slope
+from tracker import DisplacementSeries
 
 LENGTH_MM = 500.0
 TRUTH = ((4.0, 0.004, 3.0), (25.1, 0.003, 1.5), (70.2, 0.0025, 0.6))

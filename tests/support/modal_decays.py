@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries
 
 # Table 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation".
 PAPER_HZ = np.array([1.85, 10.19, 26.84, 53.20, 88.60])

@@ -6,10 +6,8 @@ from fractions import Fraction
 import numpy as np
 from support.sim_decays import identification
 
-from tracker.flags import NOT_FOUND
-from tracker.geometry.lens import Lens
-from tracker.geometry.plane import PlaneMap
-from tracker.results import DecodeReport, FrameStrip, MarkerTracks, Scale, TimeAxis
+from tracker import NOT_FOUND, DecodeReport, FrameStrip, MarkerTracks, Scale, TimeAxis
+from tracker.geometry import Lens, PlaneMap
 
 
 def sample_tracks():

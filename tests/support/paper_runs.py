@@ -4,9 +4,9 @@ from functools import cache
 
 from support import report_runs as runs
 
-from modalcam.paper.recomputed import recompute
-from modalcam.pipeline.results import BeamResult
-from sim.reference.paper_beam import paper_beam
+from modalcam.paper import recompute
+from modalcam.pipeline import BeamResult
+from sim.reference import paper_beam
 
 paper = cache(recompute)
 

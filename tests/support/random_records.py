@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from support.modal_decays import series_of
 
-from modal_id.posterior.cramer_rao import modal_bound
-from tracker.results import DisplacementSeries
+from modal_id.posterior import modal_bound
+from tracker import DisplacementSeries
 
 EVENTS = ("rest", "drive", "plucks", "hand stop", "click", "step", "gaps", "outliers", "repeats")
 # The strongest mode is driven and stopped; the others are at most this strong.

@@ -6,25 +6,33 @@ from functools import cache
 
 import numpy as np
 
-from modal_id.check import Check
-from modal_id.results import (
+from modal_id import (
     AmplitudeCurve,
     AmplitudeDependence,
+    Check,
     FailedMode,
     Identification,
     IdentifiedMode,
     Onset,
     Posterior,
 )
-from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.comparison import DecayComparison, ModelDecay
-from sim.comparison.scores import Prediction, Samples, crps, log_density, score_difference, score_sum
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
+from modalcam.pipeline import BeamResult, RecordingResult, RunResult
+from sim.beam import AncfBeam, beam_modes
+from sim.comparison import (
+    DecayComparison,
+    ModelDecay,
+    Prediction,
+    Samples,
+    crps,
+    log_density,
+    score_difference,
+    score_sum,
+)
+from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.updating import MeasuredModes, UpdatingSettings, update
-from tracker.flags import BLURRED, NOT_FOUND
-from tracker.results import (
+from tracker import (
+    BLURRED,
+    NOT_FOUND,
     DecodeReport,
     DisplacementSeries,
     FailedTracking,

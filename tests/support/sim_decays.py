@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode, Onset, Posterior
-from tracker.results import DisplacementSeries
+from modal_id import Identification, IdentifiedMode, Onset, Posterior
+from tracker import DisplacementSeries
 
 
 def exponent(frequency_hz, damping_ratio):

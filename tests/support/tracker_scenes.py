@@ -4,12 +4,17 @@ from fractions import Fraction
 
 import numpy as np
 
-from sim.render.camera import Camera
-from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoMarker, DotMarker
-from sim.render.motion import Poses
-from sim.render.scene import Scene
-from sim.render.video import write_video
+from sim.render import (
+    ArucoMarker,
+    Camera,
+    DotMarker,
+    Poses,
+    Scene,
+    render_frames,
+    render_ideal,
+    true_centres_px,
+    write_video,
+)
 
 FPS = Fraction(1000)
 

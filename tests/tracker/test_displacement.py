@@ -6,20 +6,23 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.geometry.scale import resolve_scale
-from tracker.position_errors import (
+from tracker import (
     FORWARD_LAG,
     FORWARD_SHRINKAGE,
     LOSSLESS_SHARE,
     LOSSY_SHRINKAGE,
     SHRINKAGE,
     SHRINKAGE_SD,
+    DecodeReport,
+    MarkerTracks,
+    Scale,
+    TimeAxis,
+    TrackerSettings,
+    displacement_series,
+    flags,
 )
-from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
-from tracker.settings import TrackerSettings
-from tracker.template.compression import largest_sd, series_sd
+from tracker.geometry import resolve_scale
+from tracker.template import largest_sd, series_sd
 
 
 def tracks(n=200, scale=None, reference=()):

@@ -7,12 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from modal_id.data.prepare import prepare
-from modal_id.identify import identify
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.losses import misleading_losses
-from tracker.results import DecodeReport, MarkerTracks, TimeAxis
+from modal_id import identify
+from modal_id.data import prepare
+from tracker import DecodeReport, MarkerTracks, TimeAxis, displacement_series, flags, misleading_losses
 
 FPS, FREQUENCY_HZ, ZETA = 60.0, 0.9758, 8e-4
 

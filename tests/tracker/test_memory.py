@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support.tracker_scenes import Recording
-from tracker.follow.frame_results import CHUNK_ROWS, RowStore
-from tracker.settings import TrackerSettings
-from tracker.track import track_source
-from tracker.video.base import Frame, SourceInfo
+from tracker import TrackerSettings, track_source
+from tracker.follow import CHUNK_ROWS, RowStore
+from tracker.video import Frame, SourceInfo
 
 MARKERS = 1
 

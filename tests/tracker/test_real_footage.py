@@ -11,12 +11,9 @@ from support import tracker_media as media
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
-from tracker import flags
-from tracker.markers.aruco import ArucoDetector
-from tracker.markers.codes import opencv_detector, read_codes
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.ffmpeg import VideoSource
+from tracker import TrackerSettings, flags, track
+from tracker.markers import ArucoDetector, opencv_detector, read_codes
+from tracker.video import VideoSource
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 FORK = REAL / "tuning_forks" / "tuning_hz32_fps1000_50-1_640x420.mp4"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from modal_id.settings import IdentifySettings, SamplerSettings
-from tracker.settings import TrackerSettings
+from modal_id import IdentifySettings, SamplerSettings
+from tracker import TrackerSettings
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
-from tracker.register import kernel
-from tracker.register.acceptance import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation
-from tracker.register.poor_fit import reconsider
+from tracker.register import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation, kernel, reconsider
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage, IntArray
 from tracker.results import FrameStrip
-from tracker.video.gray import to_8_bit
+from tracker.video import to_8_bit
 
 LONGEST_SIDE_PX = 320
 # Maximum number; beyond it every second one is dropped and the step doubles.

@@ -6,11 +6,16 @@ import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.batch import LIMITS, LastSeen, MarkerArrays
-from tracker.register import kernel
-from tracker.register.acceptance import LEAST_CORRELATION, acceptable
-from tracker.register.marker import Camera, MarkerModel, contrast_state, register
-from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
-from tracker.template.spline import Template
+from tracker.register import (
+    LEAST_CORRELATION,
+    Camera,
+    MarkerModel,
+    acceptable,
+    contrast_state,
+    kernel,
+    register,
+)
+from tracker.template import SMALLEST_PX, BlurBank, Template, seen_from_marker
 
 
 class Fits:

@@ -12,8 +12,8 @@ from tracker.arrays import GrayImage
 from tracker.follow.filmstrip import StripKeeper
 from tracker.follow.frame_results import RowStore
 from tracker.follow.repeated_frames import image_change
-from tracker.markers.base import FrameFollower, FrameResult
-from tracker.video.base import Frame, SourceInfo, UnreadableVideoError
+from tracker.markers import FrameFollower, FrameResult
+from tracker.video import Frame, SourceInfo, UnreadableVideoError
 
 MAX_FRAMES = 10_000_000
 

@@ -13,10 +13,9 @@ from tracker.follow.fits import Fits
 from tracker.follow.look_alikes import LookAlikes
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
-from tracker.markers.base import LookAlikeDetector, MarkerDetector
-from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel
-from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
+from tracker.markers import LookAlikeDetector, MarkerDetector
+from tracker.register import Camera, MarkerModel, kernel
+from tracker.template import SMALLEST_PX, exposed_path_px, path_length_px
 
 OWN_FLAGS = batch.NOT_FOUND | batch.EDGE | batch.SATURATED | batch.BLURRED | batch.POOR_FIT
 

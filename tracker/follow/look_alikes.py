@@ -9,11 +9,8 @@ from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.follow.batch import COINCIDENT, FrameArrays
 from tracker.follow.fits import Fits
 from tracker.follow.recovery import IMPATIENT_EVERY, PATIENCE, Recovery, blurs, failed
-from tracker.markers.assignment import Assignment, Expectation, Scene, assign, completed
-from tracker.markers.base import LookAlikeDetector
-from tracker.markers.common_motion import CommonMotion
-from tracker.register import kernel
-from tracker.register.acceptance import correlation
+from tracker.markers import Assignment, CommonMotion, Expectation, LookAlikeDetector, Scene, assign, completed
+from tracker.register import correlation, kernel
 
 # Identities are in doubt while predictions err by more than this share of the spacing between markers.
 DOUBTFUL = 0.25

@@ -8,11 +8,9 @@ from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
 from tracker.follow.fits import Fits
-from tracker.markers.base import Detection, MarkerDetector
-from tracker.register import kernel
-from tracker.register.acceptance import GOOD_CHI2, correlation
-from tracker.register.search import coarse_search
-from tracker.template.blur import SMALLEST_PX
+from tracker.markers import Detection, MarkerDetector
+from tracker.register import GOOD_CHI2, coarse_search, correlation, kernel
+from tracker.template import SMALLEST_PX
 
 # The shape of a marker that decodes it is measured again at most once in this many frames.
 REFRESH_EVERY = 5

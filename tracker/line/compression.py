@@ -9,7 +9,7 @@ from tracker.line import kernel
 from tracker.line.follower import Fit, LineFollower
 from tracker.line.model import LineModel
 from tracker.line.profile import spline_values
-from tracker.template.compression import FRAMES, LARGEST_FACTOR, LARGEST_LAG_PX, autocovariance
+from tracker.template import FRAMES, LARGEST_FACTOR, LARGEST_LAG_PX, autocovariance
 
 
 def line_sd_factor(images: list[GrayImage], model: LineModel) -> float:

@@ -30,9 +30,8 @@ from tracker.markers.codes import (
     printed_bits,
     read_codes,
 )
-from tracker.template.parametric import aruco_template, aruco_values
-from tracker.template.spline import Template
-from tracker.video.gray import to_8_bit
+from tracker.template import Template, aruco_template, aruco_values
+from tracker.video import to_8_bit
 
 FRAMES_SEARCHED = 7
 # Where codes are readable in some of these frames only, all frames are searched: motion blur hides a code except near

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage
-from tracker.template.spline import Template
+from tracker.template import Template
 
 
 class DetectionSettings(Protocol):

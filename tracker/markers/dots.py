@@ -24,8 +24,7 @@ from tracker.markers.beam_order import ClampSide, matching_subset, order_along_b
 from tracker.markers.similar_spots import gray_level, similar_spots
 from tracker.markers.spot_motion import MOVED_PX, spot_motion, spot_paths, still_and_beside, stillest_frame
 from tracker.markers.spots import Spot, find_spots, largest_group
-from tracker.template.parametric import disc_template, disc_values, step_response
-from tracker.template.spline import Template
+from tracker.template import Template, disc_template, disc_values, step_response
 
 FIRST_BLUR_PX = 0.7
 # Pixels of a large dot that its ideal template is fitted to.

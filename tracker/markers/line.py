@@ -19,7 +19,7 @@ from tracker.markers.base import (
 )
 
 if TYPE_CHECKING:
-    from tracker.line.model import LineModel
+    from tracker.line import LineModel
 
 # Lines are at least this long.
 LEAST_LENGTH_PX = 30.0
@@ -47,10 +47,12 @@ class LineMarkers:
     ) -> JointCalibration | NothingFound:
         """Stations s1, s2, ... from the clamp."""
         # The kernels are slow to load, and most recordings have another kind of marker.
-        from tracker.line.calibrate import calibrate_line  # noqa: PLC0415
-        from tracker.line.compression import line_sd_factor  # noqa: PLC0415
-        from tracker.line.follower import LineFollower  # noqa: PLC0415
-        from tracker.line.model import LineModel  # noqa: PLC0415
+        from tracker.line import (  # noqa: PLC0415
+            LineFollower,
+            LineModel,
+            calibrate_line,
+            line_sd_factor,
+        )
 
         model = calibrate_line(
             images,
@@ -119,7 +121,7 @@ class LineDetector:
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """The line, to be calibrated."""
-        from tracker.line.find import NoMovingLine, find_line  # noqa: PLC0415 - as above
+        from tracker.line import NoMovingLine, find_line  # noqa: PLC0415 - as above
 
         settings, (height, width) = self._settings, frames[0].shape
         if settings.positions_mm is not None and len(settings.positions_mm) != 2:

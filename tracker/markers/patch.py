@@ -15,7 +15,7 @@ from tracker.markers.base import (
     MarkerKind,
     NothingFound,
 )
-from tracker.template.spline import from_values
+from tracker.template import from_values
 
 SIZES_PX = (31, 41, 51, 61)
 # The smallest window whose stronger gradient gives this sd, with a noise of one gray level in 256.

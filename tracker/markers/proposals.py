@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.video.gray import to_8_bit
+from tracker.video import to_8_bit
 
 Image = NDArray[np.float32]
 

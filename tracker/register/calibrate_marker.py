@@ -8,23 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray
-from tracker.markers.base import Detection, IdealFit
+from tracker.markers import Detection, IdealFit
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
 from tracker.register.marker import MarkerModel, contrast_state, register
 from tracker.register.moving_object import without_background
 from tracker.register.refined_warp import with_refined_warp
-from tracker.template.blur import (
+from tracker.template import (
     LONGEST_PX,
+    OVERSAMPLING,
     SMALLEST_PX,
+    Template,
+    grid_px,
+    learn_template,
     path_length_px,
+    paths_px,
+    residual_map,
     seen_from_marker,
+    sharp_states,
+    trimmed_support,
     unblurred,
     widened,
 )
-from tracker.template.exposure_paths import paths_px, sharp_states
-from tracker.template.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
-from tracker.template.spline import Template, grid_px
 
 # A learned template adapts to the noise it is learned from, so its chi-square is slightly too low.
 PARAMETRIC_MARGIN = 1.06

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.markers import Detection
 from tracker.register.calibrate_marker import calibrate
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_exposure, largest_motion_px
 from tracker.register.marker import Camera, MarkerModel
 from tracker.register.moving_object import notes_on_patches, with_motion_sd
 from tracker.register.refined_noise import refined_noise
-from tracker.template.compression import sd_factors
-from tracker.template.noise import estimate_noise
+from tracker.template import estimate_noise, sd_factors
 
 # Share of the exposure assumed while learning the templates from which it is then estimated.
 FIRST_GUESS = 0.5

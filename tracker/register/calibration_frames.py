@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.markers import Detection
 from tracker.register import kernel
 from tracker.register.acceptance import LEAST_CORRELATION, acceptable, correlation
 from tracker.register.marker import Camera, MarkerModel, register
 from tracker.register.search import coarse_search
-from tracker.template.blur import BlurBank, seen_from_marker
-from tracker.template.exposure_paths import extrapolated, paths_px, typical_chi2
-from tracker.template.spline import Template
+from tracker.template import BlurBank, Template, extrapolated, paths_px, seen_from_marker, typical_chi2
 
 # A marker may be elsewhere when a fit correlates less than `LEAST_CORRELATION`; below this limit it is not there. The
 # first template of a patch, one image, has as much noise as the frame: chi-square is 2.

@@ -10,8 +10,14 @@ from tracker.arrays import FloatArray
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
-from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
-from tracker.template.exposure_paths import path_derivatives_px
+from tracker.template import (
+    SMALLEST_PX,
+    Blurrer,
+    exposed_path_px,
+    path_derivatives_px,
+    path_length_px,
+    seen_from_marker,
+)
 
 # Motion from frame to frame below which the exposure cannot be estimated.
 LEAST_MOTION_PX = 2.0 * SMALLEST_PX

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.markers import Detection
 from tracker.register import kernel
 from tracker.register.poor_fit import reconsider
-from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template
+from tracker.template import NoiseModel, Template
 
 
 @dataclass(frozen=True)

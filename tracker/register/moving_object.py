@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from tracker.arrays import FloatArray
-from tracker.geometry.view import median_over_time
+from tracker.geometry import median_over_time
 from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
 from tracker.register.marker import MarkerModel
-from tracker.template.background import ObjectMotion, motion_shares, object_motion, scaled_motion
-from tracker.template.learned import learn_template
-from tracker.template.spline import Template
+from tracker.template import (
+    ObjectMotion,
+    Template,
+    learn_template,
+    motion_shares,
+    object_motion,
+    scaled_motion,
+)
 
 # Rounds in which the template of a window and the part of it that is the object are found.
 ROUNDS = 4

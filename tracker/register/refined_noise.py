@@ -6,10 +6,16 @@ import numpy as np
 
 from tracker.arrays import GrayImage
 from tracker.register.marker import MarkerModel
-from tracker.template.blur import Blurrer, seen_from_marker
-from tracker.template.exposure_paths import paths_px, sharp_states
-from tracker.template.noise import LEAST_IN_BIN, NoiseModel, fit_line
-from tracker.template.spline_kernels import modelled_pixels
+from tracker.template import (
+    LEAST_IN_BIN,
+    Blurrer,
+    NoiseModel,
+    fit_line,
+    modelled_pixels,
+    paths_px,
+    seen_from_marker,
+    sharp_states,
+)
 
 BINS = 12
 FRAMES = 24

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracker.arrays import GrayImage
-from tracker.markers.base import Detection
+from tracker.markers import Detection
 
 # Share of the pixels at the white level, and gray levels of the others relative to it, between which no edge is seen:
 # an edge across a marker of 5 px fills a tenth of its surroundings with the gray levels between dark and white.

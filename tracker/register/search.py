@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.template.spline import Template
+from tracker.template import Template
 
 # Normalised correlation at the best whole pixel below which nothing was found.
 _LEAST_SCORE = 0.6

@@ -28,7 +28,7 @@ from tracker.video.base import (
 from tracker.video.edit_list import EditList
 from tracker.video.ffv1 import has_check_sums, slices_are_intact
 from tracker.video.gray import gray_depth, gray_image
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.headers import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.stated_length import StatedLength
 
 FORMATS = (

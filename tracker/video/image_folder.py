@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tracker.arrays import GrayImage
 from tracker.video.base import Frame, FrameSource, Reader, SourceInfo, unreadable
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, with_header
+from tracker.video.headers import HEADER_SUFFIXES, with_header
 from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
 
 # Fewer numbered images than this are photographs, not a recording.

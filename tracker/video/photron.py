@@ -19,8 +19,13 @@ from tracker.video.base import (
     unreadable,
 )
 from tracker.video.gray import packed_bytes, unpacked
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, companion, with_companion
-from tracker.video.headers.photron_header import PhotronHeader, read_photron_header
+from tracker.video.headers import (
+    HEADER_SUFFIXES,
+    PhotronHeader,
+    companion,
+    read_photron_header,
+    with_companion,
+)
 
 PIXEL_SUFFIX = ".mraw"
 DEPTHS = (8, 10, 12, 16)

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from tracker.arrays import GrayImage
 from tracker.video.base import FrameSource, UnreadableVideoError, shown
-from tracker.video.headers.camera_header import without_header
+from tracker.video.headers import without_header
 from tracker.video.registry import open_recording
 
 

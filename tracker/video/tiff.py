@@ -24,7 +24,7 @@ from tracker.video.base import (
     unreadable,
 )
 from tracker.video.gray import luma_16
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.headers import HEADER_SUFFIXES, with_companion, with_header_beside
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 MAX_PAGES = 10_000_000

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, fit_poles
-from modal_id.solve.waves import real_columns
-from modal_id.solve.weighting import LongArray
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import LongArray, PoleFit, Problem, fit_poles, real_columns
+from tracker import BoolArray, ComplexArray, FloatArray
 
 # The search needs few samples per cycle; its result is refined on all of them.
 _SEARCH_SAMPLES = 3000

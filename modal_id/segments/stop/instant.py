@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from modal_id.data.outliers import beyond_limit
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, beyond_limit
 from modal_id.segments.stop.change_point import DrivenThenFree
 from modal_id.segments.stop.piecewise_fit import PiecewiseProblem, descend, search_instant, solve
 from modal_id.segments.stop.uncertainty import correlation_inflation, envelope_sd, mean_square, posterior_sd
-from modal_id.solve.poles import PoleFit, frequency_hz
-from modal_id.solve.waves import real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, frequency_hz, real_columns
+from tracker import ComplexArray, FloatArray
 
 _FALSE_ALARM = 0.01
 # Where the mean square residual of a side exceeds the noise by more than this factor, the shaking is not steady (or the

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from tracker import FloatArray
 
 FIRST_STEPS = 3
 _MINIMA = 3

@@ -13,7 +13,7 @@ from modal_id.segments.stop.piecewise_fit import (
     scan,
     solve,
 )
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # Increase of chi-square up to which another instant competes, and before its descent.
 _COMPETING = 12.0

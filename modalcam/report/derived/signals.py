@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RunResult
+from modal_id import Identification, IdentifiedMode
+from modalcam.pipeline import RunResult
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracker import flags
-from tracker.arrays import FloatArray, IntArray
-from tracker.results import MarkerTracks
-from tracker.template.compression import NEIGHBOURS, prediction
+from tracker import FloatArray, IntArray, MarkerTracks, flags
+from tracker.template import NEIGHBOURS, prediction
 
 # Bins of time in which residuals are pooled.
 BINS = 60

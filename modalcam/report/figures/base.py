@@ -9,15 +9,21 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import shown_channel, shown_mode
-from modalcam.report.style.environment import environment
-from modalcam.report.style.palette import WIDTH_IN, figure_style, new_figure, variables
-from modalcam.report.style.svg import FigureView, figure_svg, inline
-from modalcam.storage.cache import Cache, digest
-from modalcam.storage.provenance import code_sha256
-from sim.beam.modes import BeamModes
+from modal_id import Identification, IdentifiedMode
+from modalcam.pipeline import RecordingResult
+from modalcam.report.derived import shown_channel, shown_mode
+from modalcam.report.style import (
+    WIDTH_IN,
+    FigureView,
+    environment,
+    figure_style,
+    figure_svg,
+    inline,
+    new_figure,
+    variables,
+)
+from modalcam.storage import Cache, code_sha256, digest
+from sim.beam import BeamModes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,14 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.results import Identification
-from modalcam.report.derived.signals import mode_motion
+from modal_id import Identification
+from modalcam.report.derived import mode_motion
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.style.axes import dots, few_ticks, trace
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import FIT, MEASURED
-from modalcam.report.style.safe_text import figure_label, quantity
-from tracker.arrays import FloatArray
+from modalcam.report.style import FIT, MEASURED, dots, few_ticks, figure_label, legend_above, quantity, trace
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

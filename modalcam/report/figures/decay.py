@@ -6,13 +6,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from modal_id.results import Identification
-from modalcam.report.derived.signals import residual
+from modal_id import Identification
+from modalcam.report.derived import residual
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import few_ticks, onset_line, share_time, trace
-from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
-from modalcam.report.style.safe_text import channel_label, figure_label, quantity
-from tracker.results import DisplacementSeries
+from modalcam.report.style import (
+    COLUMNS,
+    FIT,
+    INK,
+    MEASURED,
+    channel_label,
+    few_ticks,
+    figure_label,
+    onset_line,
+    quantity,
+    share_time,
+    trace,
+)
+from tracker import DisplacementSeries
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

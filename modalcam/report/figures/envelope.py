@@ -6,15 +6,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.results import IdentifiedMode
-from modalcam.report.derived.signals import measured_envelope
+from modal_id import IdentifiedMode
+from modalcam.report.derived import measured_envelope
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.style.axes import dots, few_ticks, log_y
-from modalcam.report.style.format import percent
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
-from modalcam.report.style.safe_text import figure_label
-from tracker.arrays import FloatArray
+from modalcam.report.style import (
+    ALERT,
+    FIT,
+    MEASURED,
+    MUTED,
+    dots,
+    few_ticks,
+    figure_label,
+    legend_above,
+    log_y,
+    percent,
+)
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

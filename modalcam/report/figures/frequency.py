@@ -9,16 +9,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.subspace import StabilityDiagram, stability_diagram
-from modal_id.results import Identification
-from modal_id.solve.poles import frequency_hz
-from modalcam.report.derived.signals import highest, residual, spectral_density
+from modal_id import Identification
+from modal_id.data import FitData
+from modal_id.fit import StabilityDiagram, stability_diagram
+from modal_id.solve import frequency_hz
+from modalcam.report.derived import highest, residual, spectral_density
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.style.axes import dots, few_ticks, log_y
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import FAINT, FIT, INK, MEASURED
-from modalcam.report.style.safe_text import figure_label
+from modalcam.report.style import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    dots,
+    few_ticks,
+    figure_label,
+    legend_above,
+    log_y,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import Style, dots, few_ticks
-from modalcam.report.style.format import fixed
-from modalcam.report.style.palette import FIT, INK, MEASURED
-from tracker.arrays import FloatArray
+from modalcam.report.style import FIT, INK, MEASURED, Style, dots, few_ticks, fixed
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

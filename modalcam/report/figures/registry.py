@@ -20,8 +20,8 @@ from modalcam.report.figures.trace import TRACE
 from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
 from modalcam.report.figures.waterfall import WATERFALL
-from modalcam.report.style.svg import FigureView
-from modalcam.storage.cache import Cache
+from modalcam.report.style import FigureView
+from modalcam.storage import Cache
 
 _RECORDING = (
     DECAY,

@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.modes.nodes import Node, find_nodes
-from modal_id.modes.shapes import mac
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode
+from modal_id.modes import Node, find_nodes, mac
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import Style, few_ticks
-from modalcam.report.style.palette import FIT, INK, MUTED
-from modalcam.report.style.safe_text import figure_label
-from sim.beam.modes import BeamModes
-from tracker.arrays import FloatArray
+from modalcam.report.style import FIT, INK, MUTED, Style, few_ticks, figure_label
+from sim.beam import BeamModes
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

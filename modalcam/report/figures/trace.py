@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.flags import ModeFlag
-from modal_id.results import IdentifiedMode
+from modal_id import IdentifiedMode, ModeFlag
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import dots, few_ticks
-from modalcam.report.style.palette import FIT, INK, MEASURED
-from tracker.arrays import FloatArray
+from modalcam.report.style import FIT, INK, MEASURED, dots, few_ticks
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

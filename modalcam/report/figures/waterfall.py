@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import few_ticks
-from modalcam.report.style.format import significant
-from modalcam.report.style.safe_text import figure_label
-from tracker.arrays import FloatArray
-from tracker.results import MarkerTracks
+from modalcam.report.style import few_ticks, figure_label, significant
+from tracker import FloatArray, MarkerTracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,17 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from modal_id.check import Check
-from modal_id.flags import ModeFlag, quoted_note
-from modal_id.modes.line_effect import line_effect
-from modal_id.results import DrivenMotion, IdentifiedMode
-from modalcam.pipeline.combined_modes import MeasuredMode
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.signals import best_modes, main_modes
-from modalcam.report.style.format import count, fixed, listed, mode_name, p_value, percent, significant
-from tracker.flags import REGISTRY
-from tracker.results import MarkerTracks
-from tracker.severity import Severity
+from modal_id import Check, DrivenMotion, IdentifiedMode, ModeFlag, quoted_note
+from modal_id.modes import line_effect
+from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult
+from modalcam.report.derived import best_modes, main_modes
+from modalcam.report.style import count, fixed, listed, mode_name, p_value, percent, significant
+from tracker import REGISTRY, MarkerTracks, Severity
 
 R_HAT_LIMIT = 1.05
 # Modal phase collinearity below which the markers do not move as in a normal mode.

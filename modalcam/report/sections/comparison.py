@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from modalcam.pipeline.model_scores import ModelScore, compared, model_scores
-from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.signals import decay_of, shown_mode
+from modalcam.pipeline import ModelScore, RunResult, compared, model_scores
+from modalcam.report.derived import decay_of, shown_mode
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay, ScoreSum
 from sim.damping import DAMPING_MODELS
 

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.style.safe_text import figure_label
-from modalcam.video.exaggerated import ExaggeratedFilm
-from modalcam.video.results import KeptFrames, SimulatedFootage
-from tracker.results import FailedTracking, FrameStrip, MarkerTracks
+from modalcam.report.style import figure_label
+from modalcam.video import ExaggeratedFilm, KeptFrames, SimulatedFootage
+from tracker import FailedTracking, FrameStrip, MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 MOST_CANDIDATES = 60

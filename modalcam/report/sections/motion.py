@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.shape import MOST_POINTS, shape_of
-from tracker.arrays import FloatArray
+from modalcam.report.figures import MOST_POINTS, RecordingSubject, shape_of
+from tracker import FloatArray
 
 # Length of the beam and largest amplitude, in the units of the drawing.
 LENGTH, AMPLITUDE = 200.0, 28.0

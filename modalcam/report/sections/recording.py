@@ -8,29 +8,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from modal_id.flags import ModeFlag
-from modal_id.modes.shapes import mpc
-from modal_id.record import Segment
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import main_modes, nrmse_of_fit, shown_mode
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.registry import figures_of
+from modal_id import Identification, IdentifiedMode, ModeFlag, Segment
+from modal_id.modes import mpc
+from modalcam.pipeline import RecordingResult
+from modalcam.report.derived import main_modes, nrmse_of_fit, shown_mode
+from modalcam.report.figures import RecordingSubject, figures_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
 from modalcam.report.sections.motion import moving_shape
-from modalcam.report.style.format import mode_name
-from modalcam.report.style.safe_text import sentence
-from modalcam.storage.cache import Cache, Value, digest
-from modalcam.storage.provenance import code_sha256
-from modalcam.video.exaggerated import ExaggeratedFilm, exaggerated_film
-from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from sim.beam.modes import BeamModes
+from modalcam.report.style import mode_name, sentence
+from modalcam.storage import Cache, Value, code_sha256, digest
+from modalcam.video import ExaggeratedFilm, KeptFrames, NoFootage, SimulatedFootage, exaggerated_film
+from sim.beam import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from sim.damping import DAMPING_MODELS
-from tracker.flags import DUPLICATE_FRAME
-from tracker.results import MarkerTracks
-from tracker.severity import Severity
+from tracker import DUPLICATE_FRAME, MarkerTracks, Severity
 
 _MIN_CHANNELS = 3
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from modalcam.report.style.format import MINUS, superscript
 from modalcam.report.style.palette import COLUMNS, INK
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,7 @@ from modalcam.report.style import format as numbers
 from modalcam.report.style import safe_text as texts
 from modalcam.report.style.safe_text import trusted, visible
 from sim.damping import DAMPING_MODELS
-from tracker.markers.registry import noun_of
+from tracker.markers import noun_of
 
 _PACKAGE = "modalcam.report"
 # Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.

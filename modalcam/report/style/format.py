@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modal_id.results import IdentifiedMode
+    from modal_id import IdentifiedMode
 
 MISSING = "–"
 MINUS = "−"

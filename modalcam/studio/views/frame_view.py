@@ -16,7 +16,7 @@ from modalcam.studio.views.marker_form import MarkerForm
 from modalcam.studio.views.shared import PageState, complain, heading, in_thread
 
 if TYPE_CHECKING:
-    from modalcam.config.schema import RecordingConfig
+    from modalcam.config import RecordingConfig
 
 TOOLS = {
     "point": "Patch: click a point with texture that moves",

@@ -6,14 +6,13 @@ from typing import Any
 
 from nicegui import ui
 
-from modalcam.config.reference import option
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig, option
 from modalcam.studio import markers_edit
 from modalcam.studio.edits import section_of
 from modalcam.studio.overlay import patch_names
 from modalcam.studio.session import options_error
 from modalcam.studio.views.shared import PageState, heading
-from tracker.markers.registry import AUTO, MARKER_KINDS
+from tracker.markers import AUTO, MARKER_KINDS
 
 _SIDES = ("top", "bottom", "left", "right")
 _CHOICES = ("kind", "patch_shape", "clamp_side")

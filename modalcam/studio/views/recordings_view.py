@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from modalcam.inputs.probe import RATE_UNKNOWN, Probe
+from modalcam.inputs import RATE_UNKNOWN, Probe
 from modalcam.names import shown
 from modalcam.studio.markers_edit import parse_rate
 from modalcam.studio.overlay import markers_text

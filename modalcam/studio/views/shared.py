@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from nicegui import run, ui
 
 from modalcam.errors import ModalcamError
-from modalcam.inputs.discover import Found
+from modalcam.inputs import Found
 from modalcam.names import shown
 from modalcam.studio.session import Studio
 

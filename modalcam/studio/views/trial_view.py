@@ -14,7 +14,7 @@ from modalcam.studio.overlay import marked, trail
 from modalcam.studio.trial_summary import MOST_LISTED, summarised
 from modalcam.studio.trial_windows import FollowedWindow, evenly
 from modalcam.studio.views.shared import PageState, heading, in_thread, table
-from tracker.results import FailedTracking
+from tracker import FailedTracking
 
 if TYPE_CHECKING:
     from modalcam.studio.expected import ExpectedIntervals

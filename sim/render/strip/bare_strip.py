@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from sim.render.motion import Motion, Poses
 from sim.render.texture import Texture
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # samples that cubic interpolation needs beyond the strip
 _MARGIN = 3

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.render.motion import Poses
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Gauss-Legendre points between two points of the line: exact to (h / wave length)^8
 _ORDER = 4

@@ -13,7 +13,7 @@ from sim.render.quadrature import panels
 from sim.render.strip.bare_strip import BareStrip, visible_parts
 from sim.render.strip.strip_kernels import add_strip_points
 from sim.render.texture import Texture
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 class StripImage:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from sim.render.kernels import REACH, fast_erf, interpolate
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 @njit(cache=True)

@@ -7,15 +7,12 @@ from scipy.stats import chi2
 from support.modal_decays import series_of
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import fit_poles, pole
+from modal_id import IdentifySettings, identify
+from modal_id.curve import amplitude_curve
+from modal_id.data import FitData, bandwidth_hz, baseline_matrix
+from modal_id.fit import ModalFit
+from modal_id.posterior import modal_bound
+from modal_id.solve import Problem, fit_poles, pole
 
 
 def decay(time_s, zeta, frequency_hz, initial=1.0):

@@ -7,17 +7,11 @@ import pytest
 from scipy.stats import chi2
 from support.many_channels import LENGTH_MM, TRUTH, cantilever_shapes, station_series
 
-from modal_id.data.prepare import prepare
-from modal_id.data.projection import project
-from modal_id.data.samples import rough_variance
-from modal_id.fit import repeating_errors
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.identify import identify
-from modal_id.modes.shapes import mac
-from modal_id.settings import IdentifySettings, SamplerSettings
-from tracker.position_errors import PositionErrors
-from tracker.results import DisplacementSeries
+from modal_id import IdentifySettings, SamplerSettings, identify
+from modal_id.data import prepare, project, rough_variance
+from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.modes import mac
+from tracker import DisplacementSeries, PositionErrors
 
 FEW_STEPS = SamplerSettings(max_steps=100, check_steps=100)
 

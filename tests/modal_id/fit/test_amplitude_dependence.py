@@ -5,10 +5,9 @@ import pytest
 from scipy.stats import binom
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.amplitude_dependence import nonlinear_decay
-from modal_id.fit.model_order import find_modes
-from modal_id.posterior.mode_posterior import determine_mode
+from modal_id.data import prepare
+from modal_id.fit import find_modes, nonlinear_decay
+from modal_id.posterior import determine_mode
 
 # 40 dB at 1000 fps, 36 dB at the 400 fps of these records: the same noise in each hertz.
 NOISE = 0.00707 * np.sqrt(0.4)

@@ -5,8 +5,7 @@ import pytest
 from support.modal_decays import pole_of, series_of
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 NOISE = 0.007
 

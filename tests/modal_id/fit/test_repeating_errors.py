@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from modal_id.data.samples import FitData
-from modal_id.fit import repeating_errors
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.solve.poles import damping_ratio
-from tracker.position_errors import (
+from modal_id.data import FitData
+from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.solve import damping_ratio
+from tracker import (
     FORWARD_LAG,
     FORWARD_LAG_SD,
     LAG_SD,

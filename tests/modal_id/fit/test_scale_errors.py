@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.results import DisplacementSeries
-from tracker.scale_change import ScaleChange
+from modal_id import IdentifySettings, identify
+from tracker import DisplacementSeries, ScaleChange
 
 
 def test_an_error_of_the_scale_is_in_the_interval_of_the_damping_ratio():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
+from modal_id.fit import ResidualSpectrum, least_level, local_level, mean_per_median
 from modal_id.fit.candidates import _largest_significant
-from modal_id.fit.spectrum import ResidualSpectrum, least_level, local_level, mean_per_median
 
 THRESHOLD = 12.0
 

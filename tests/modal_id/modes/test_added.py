@@ -6,12 +6,9 @@ from scipy.stats import binom
 from support.modal_decays import coloured, pole_of, series_of
 from support.sampling import QUICK
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.named_lines import with_named
-from modal_id.fit.spectrum import power_spectrum
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes, power_spectrum, with_named
 
 FAST = {"seed": 3, "sampler": QUICK}
 # Frequency, damping ratio, shape.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from modal_id.modes.curvature import Curvature, NoCurvature, beam_curvature
+from modal_id.modes import Curvature, NoCurvature, beam_curvature
 
 LENGTH = 500.0
 STATIONS = 10.0 + 480.0 * (np.arange(44) + 0.5) / 44

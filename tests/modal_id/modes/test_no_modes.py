@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from support.ordinary_records import decay
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.results import DisplacementSeries, PositionErrors
+from modal_id import IdentifySettings, identify
+from tracker import DisplacementSeries, PositionErrors
 
 RATE_HZ, SPAN_S = 500.0, 6.0
 F_HZ, ZETA = 11.3, 0.004

@@ -11,12 +11,11 @@ import pytest
 from scipy.stats import binom, chi2
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import frequency_hz
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.posterior import determine_mode
+from modal_id.solve import frequency_hz
 
 LEVELS = (0.5, 0.9, 0.99)
 

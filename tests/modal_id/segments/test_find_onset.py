@@ -10,11 +10,9 @@ from support.modal_decays import (
     shaken_then_free,
 )
 
-from modal_id.data.prepare import prepare, with_base
-from modal_id.data.samples import rough_variance
-from modal_id.identify import identify
-from modal_id.segments.divide import divide
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare, rough_variance, with_base
+from modal_id.segments import divide
 
 slow = pytest.mark.slow
 # mode, amplitude, noise, fps, duration, shaking

@@ -11,10 +11,9 @@ from scipy.stats import chi2, norm
 from support import report_runs as runs
 from support.html_page import assert_sound
 
-from modalcam.between_runs.compare import compare_runs
-from modalcam.between_runs.page import page
+from modalcam.between_runs import compare_runs, page
 from modalcam.errors import InputError
-from modalcam.export.summary import summary
+from modalcam.export import summary
 
 FREQUENCY_HZ, FREQUENCY_SD_HZ = 10.0, 0.002
 DAMPING, DAMPING_SD = 0.003, 2e-5

@@ -17,12 +17,12 @@ from support.ordinary_records import ruler_with_click, several_plucks, steady_dr
 from typer.testing import CliRunner
 
 from modalcam import cli
-from modalcam.cli.options import results_folder
+from modalcam.cli import results_folder
 from modalcam.commands import Options, track
-from modalcam.config.toml import load_config
+from modalcam.config import load_config
 from modalcam.console import exit_code, listener
 from modalcam.errors import ExitCode
-from modalcam.execution.local import Limits
+from modalcam.execution import Limits
 
 
 @pytest.fixture

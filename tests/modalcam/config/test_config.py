@@ -6,14 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from modalcam.config.resolve import beam_properties, updating_settings
-from modalcam.config.schema import BeamConfig, ExperimentConfig
-from modalcam.config.toml import dump_config, load_config, parse_config
+from modalcam.config import (
+    BeamConfig,
+    ExperimentConfig,
+    beam_properties,
+    dump_config,
+    load_config,
+    parse_config,
+    updating_settings,
+)
 from modalcam.errors import ConfigError
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from sim.beam import AncfBeam, beam_modes
 from sim.updating import UpdatingSettings
-from tracker.settings_base import parse_fps, write_fps
+from tracker import parse_fps, write_fps
 
 EXAMPLE = """
 [camera]

@@ -15,11 +15,16 @@ from support.worker_tasks import InThisProcess, behave
 
 from modalcam.commands import Options, run
 from modalcam.errors import InputError
+from modalcam.execution import (
+    IncompatibleWorkerError,
+    Limits,
+    Progress,
+    TaskFailure,
+    WorkerRequirements,
+    cluster_pool,
+)
 from modalcam.execution import dask as modalcam_cluster
-from modalcam.execution.dask import IncompatibleWorkerError, WorkerRequirements, cluster_pool
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, TaskFailure
-from modalcam.storage.provenance import code_sha256, versions
+from modalcam.storage import code_sha256, versions
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
 

@@ -6,8 +6,7 @@ import pytest
 from support.worker_tasks import GIBI, behave
 
 from modalcam.errors import ModalcamError
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
+from modalcam.execution import Limits, TaskFailure, WorkerPool, worker_pool
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

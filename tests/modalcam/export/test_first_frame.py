@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from modalcam.export.first_frame import write_first_frame
-from tracker.results import FailedTracking
+from modalcam.export import write_first_frame
+from tracker import FailedTracking
 
 
 def written(path, **values):

@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import BSpline
 from support.modal_decays import pole_of, series_of
 
-from modal_id.identify import identify
+from modal_id import identify
 from modalcam.export import netcdf
 
 FREQUENCY_HZ, DAMPING_RATIO, RATE_SD_PPM = 12.0, 0.004, 50.0

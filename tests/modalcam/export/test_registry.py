@@ -9,13 +9,12 @@ from support.modalcam_data import identification_of
 from support.paths import ROOT
 from support.report_runs import beam_result, compared, paper_recordings, run_result
 
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.errors import InputError
-from modalcam.export.base import Output, Writer
-from modalcam.export.writers import WRITERS, outputs, register_writer, with_missing_formats
-from modalcam.inputs.uff import read_uff
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.storage.output_folder import Workspace
+from modalcam.export import WRITERS, Output, Writer, outputs, register_writer, with_missing_formats
+from modalcam.inputs import read_uff
+from modalcam.pipeline import RecordingResult, RunResult
+from modalcam.storage import Workspace
 
 
 @pytest.fixture

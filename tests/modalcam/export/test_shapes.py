@@ -7,12 +7,11 @@ from support.modalcam_data import identification
 from support.report_runs import beam_theory, run_result
 
 from benchmarks.line_scenes import ROOTS, mode_shape
-from modalcam.config.schema import ExperimentConfig
-from modalcam.export.shapes import COLUMNS, SHAPES
-from modalcam.export.summary import summary
-from modalcam.pipeline.results import BeamResult, RecordingResult
-from modalcam.storage.output_folder import Workspace
-from sim.reference.paper_beam import paper_beam
+from modalcam.config import ExperimentConfig
+from modalcam.export import COLUMNS, SHAPES, summary
+from modalcam.pipeline import BeamResult, RecordingResult
+from modalcam.storage import Workspace
+from sim.reference import paper_beam
 
 POSITIONS_MM = 500.0 * (np.arange(40) + 0.5) / 40
 

@@ -8,8 +8,8 @@ import pyuff
 from support.modalcam_data import identification_of
 
 from modalcam.errors import InputError
-from modalcam.export.uff import write_uff
-from modalcam.inputs.uff import read_uff
+from modalcam.export import write_uff
+from modalcam.inputs import read_uff
 
 
 def test_pyuff_reads_the_series_and_shapes(tmp_path):
@@ -151,8 +151,8 @@ def test_a_channel_without_values_is_omitted(tmp_path):
 def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff and .csv files of the same series."""
     from modalcam.commands import Options, identify
-    from modalcam.config.schema import RecordingConfig
-    from modalcam.execution.pool import Progress
+    from modalcam.config import RecordingConfig
+    from modalcam.execution import Progress
 
     rng = np.random.default_rng(3)
     time_s = np.arange(1500) / 500.0

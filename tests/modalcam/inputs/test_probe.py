@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.inputs.discover import Found
-from modalcam.inputs.probe import probe_folder, probe_recordings, starter_config
-from modalcam.studio.trial import TrialTask, detected
-from sim.render.video import write_video
-from tracker.settings import TrackerSettings
+from modalcam.config import ExperimentConfig
+from modalcam.inputs import Found, probe_folder, probe_recordings, starter_config
+from modalcam.studio import TrialTask, detected
+from sim.render import write_video
+from tracker import TrackerSettings
 
 SCENE = {"frames": 16, "markers": 3, "width_px": 240, "height_px": 90, "amplitude_px": 1.0}
 

@@ -4,9 +4,8 @@ import pytest
 from support.modalcam_data import rectified_tracks, sample_tracks
 
 from modalcam.errors import InputError
-from modalcam.export.tables import write_tracks
-from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table
-from modalcam.inputs.table import read_table
+from modalcam.export import write_tracks
+from modalcam.inputs import is_tracks, read_table, series_from_table, tracks_from_table
 
 
 def table_of(tmp_path, text):

@@ -10,12 +10,8 @@ from support import report_runs as runs
 from support.html_page import Page, assert_sound
 from support.paper_runs import paper, run_of_table_2
 
-from modalcam.paper import table2
-from modalcam.paper.checks import checks
-from modalcam.paper.figures import variables
-from modalcam.paper.page import numbers, paper_html, paper_page
-from modalcam.paper.simulated_truth import TrueMode, Truth
-from modalcam.report.derived.signals import best_modes
+from modalcam.paper import TrueMode, Truth, checks, numbers, paper_html, paper_page, table2, variables
+from modalcam.report.derived import best_modes
 from sim.reference import paper_tables as printed
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from modalcam.paper.simulated_truth import beam_differences, read_truth
-from sim.beam.properties import PointMass
-from sim.reference.paper_beam import paper_beam
+from modalcam.paper import beam_differences, read_truth
+from sim.beam import PointMass
+from sim.reference import paper_beam
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"recordings": [{"mode": 1}]}', '{"recordings": 3}'])

@@ -4,8 +4,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from modalcam.paper.checks import templates
-from modalcam.paper.text import error, numbered, of_all, percent_range, signed_percent, signed_range, within
+from modalcam.paper import (
+    error,
+    numbered,
+    of_all,
+    percent_range,
+    signed_percent,
+    signed_range,
+    templates,
+    within,
+)
 
 
 def test_lists_and_counts():

@@ -9,15 +9,13 @@ import pytest
 from support import report_runs
 
 from modalcam import cli
-from modalcam.config.schema import ExperimentConfig
-from modalcam.pipeline.compare import compare_recordings
-from modalcam.pipeline.stage import Context
-from modalcam.storage.output_folder import Workspace
-from modalcam.video.results import NoFootage
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import Context, compare_recordings
+from modalcam.storage import Workspace
+from modalcam.video import NoFootage
+from sim.beam import AncfBeam, beam_modes
 from sim.comparison import FailedComparison
-from sim.reference.paper_beam import paper_beam
+from sim.reference import paper_beam
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 

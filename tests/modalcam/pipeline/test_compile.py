@@ -12,8 +12,8 @@ import pytest
 from support.kernel_cache import kernels, listed, python
 from support.paths import ROOT
 
-from modalcam.execution.pool import Progress, WorkerPool
-from modalcam.pipeline.compile import DECAYS, FILMS, GROUPS, LINES, MARKERS, SIMULATION, compile_kernels
+from modalcam.execution import Progress, WorkerPool
+from modalcam.pipeline import DECAYS, FILMS, GROUPS, LINES, MARKERS, SIMULATION, compile_kernels
 
 NAMES = ("LINES", "MARKERS", "SIMULATION", "DECAYS", "FILMS")
 COMPILE = """

@@ -3,8 +3,8 @@
 import numpy as np
 from support.modal_decays import series_of
 
-from modal_id.settings import IdentifySettings
-from modalcam.pipeline.identify import identify_series
+from modal_id import IdentifySettings
+from modalcam.pipeline import identify_series
 
 
 def test_a_failure_names_markers_that_nobody_chose():

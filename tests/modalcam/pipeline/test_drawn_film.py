@@ -6,11 +6,8 @@ import pytest
 from support import tracker_media as media
 from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, track
 
 FPS, HZ, ZETA = 200.0, 10.0, 0.004
 COLUMNS_PX, SHAPE, ROW_PX, RADIUS_PX = (60, 160, 260, 360, 450), (0.1, 0.3, 0.5, 0.8, 1.0), 60.0, 8

@@ -4,8 +4,8 @@ import numpy as np
 from support.modal_decays import series_of
 from support.sampling import QUICK
 
-from modal_id.settings import IdentifySettings
-from modalcam.pipeline.identify import ImageRows, identify_series
+from modal_id import IdentifySettings
+from modalcam.pipeline import ImageRows, identify_series
 
 
 def test_the_note_is_that_of_rows_whose_readout_is_not_given():

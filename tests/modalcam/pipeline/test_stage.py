@@ -6,14 +6,12 @@ import pytest
 from support.worker_tasks import Inline, counted
 
 from modalcam import plugins
-from modalcam.config.schema import ExperimentConfig
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import WorkerPool, worker_pool
-from modalcam.pipeline.results import RUN, RecordingResult, RunResult
-from modalcam.pipeline.stage import Context, InputFile, Stage, run_together
-from modalcam.storage.output_folder import RunRecord, Workspace
-from sim.reference.paper_beam import paper_beam
-from tracker.results import FailedTracking
+from modalcam.config import ExperimentConfig
+from modalcam.execution import Limits, WorkerPool, worker_pool
+from modalcam.pipeline import RUN, Context, InputFile, RecordingResult, RunResult, Stage, run_together
+from modalcam.storage import RunRecord, Workspace
+from sim.reference import paper_beam
+from tracker import FailedTracking
 
 
 class Listener:

@@ -5,10 +5,8 @@ from support.plan_requests import BEAM, plan_of
 from typer.testing import CliRunner
 
 from modalcam import cli
-from modalcam.planning.page import plan_html
-from modalcam.planning.predict import predict
-from modalcam.planning.results import Plan, TrialSummary
-from modalcam.report.style.format import significant
+from modalcam.planning import Plan, TrialSummary, plan_html, predict
+from modalcam.report.style import significant
 
 
 def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from support.plan_requests import plan_of
 
-from modalcam.planning.page import advice
-from modalcam.planning.predict import predict
-from modalcam.planning.results import Plan
-from modalcam.report.style.format import significant
+from modalcam.planning import Plan, advice, predict
+from modalcam.report.style import significant
 
 
 def test_the_tolerance_of_the_rate_adds_to_the_frequency_alone():

@@ -6,12 +6,9 @@ import pytest
 from support.paths import ROOT, SAMPLES
 from support.plan_requests import BEAM, plan_of
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.config.toml import load_config
+from modalcam.config import ExperimentConfig, load_config
 from modalcam.errors import ConfigError
-from modalcam.planning.plan import plan
-from modalcam.planning.predict import predict
-from modalcam.planning.request import plan_request
+from modalcam.planning import plan, plan_request, predict
 
 MARKERS = {"kind": "blob", "size_mm": 12.0, "positions_mm": [100.0, 300.0]}
 

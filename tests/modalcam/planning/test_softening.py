@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from modalcam.planning.softening import frequency_per_amplitude_squared
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modalcam.planning import frequency_per_amplitude_squared
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import NoDamping
-from sim.dynamics.excitation import released_state
-from sim.dynamics.simulate import simulate
-from sim.reference.paper_beam import paper_beam
+from sim.dynamics import released_state, simulate
+from sim.reference import paper_beam
 
 
 def test_a_mode_softens_with_the_square_of_its_amplitude():

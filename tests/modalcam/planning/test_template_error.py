@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from modalcam.planning.template_error import template_factors
-from tracker.position_errors import LOSSLESS_SHARE
+from modal_id.data import bandwidth_hz, baseline_matrix
+from modalcam.planning import template_factors
+from tracker import LOSSLESS_SHARE
 
 
 def test_the_template_factor_matches_fits_with_the_error_among_the_unknowns():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.report.figure_files import write_figures
-from modalcam.report.figures.registry import FIGURES
+from modalcam.report import write_figures
+from modalcam.report.figures import FIGURES
 
 KEYS = ("damping", "envelope", "tracking")
 

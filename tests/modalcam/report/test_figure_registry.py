@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.execution.pool import Progress, worker_pool
-from modalcam.report.build import build_report
-from modalcam.report.drawing import draw_figures
-from modalcam.report.figures import base
-from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.figures.registry import FIGURES, figures_of, register_figure
-from modalcam.storage.cache import Cache
+from modalcam.execution import Progress, worker_pool
+from modalcam.report import build_report, draw_figures
+from modalcam.report.figures import FIGURES, FigureKind, RecordingSubject, base, figures_of, register_figure
+from modalcam.storage import Cache
 
 
 @pytest.fixture

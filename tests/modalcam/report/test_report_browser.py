@@ -11,12 +11,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support import report_runs as runs
 
-from modalcam.export.summary import summary
+from modalcam.export import summary
+from modalcam.paper import OptimumColumn, Recomputed, Truth, equations, standard_column
 from modalcam.paper import page as paper
-from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
-from modalcam.paper.simulated_truth import Truth
-from modalcam.pipeline.results import RecordingResult
-from modalcam.video.results import KeptFrames, SimulatedFootage
+from modalcam.pipeline import RecordingResult
+from modalcam.video import KeptFrames, SimulatedFootage
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 pytestmark = pytest.mark.skipif(

@@ -11,12 +11,12 @@ from support import report_runs as runs
 from support.html_page import Page, assert_sound
 
 import modalcam.report
-from modal_id.results import FailedIdentification, FailedMode
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.build import build_report
-from modalcam.report.style.format import with_sd
+from modal_id import FailedIdentification, FailedMode
+from modalcam.pipeline import RecordingResult
+from modalcam.report import build_report
+from modalcam.report.style import with_sd
 from sim.comparison import FailedComparison
-from tracker.results import FailedTracking
+from tracker import FailedTracking
 
 
 def test_the_same_run_gives_the_same_bytes(build):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from support.modalcam_data import rectified_tracks, sample_tracks
 
-from modal_id.results import FailedIdentification, Onset
+from modal_id import FailedIdentification, Onset
 from modalcam import plugins
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 from modalcam.errors import InputError
-from modalcam.storage.cache import Cache, digest, load, save
-from sim.reference.paper_beam import paper_beam
+from modalcam.storage import Cache, digest, load, save
+from sim.reference import paper_beam
 from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
-from tracker.results import FailedTracking
+from tracker import FailedTracking
 
 
 @dataclass(frozen=True)

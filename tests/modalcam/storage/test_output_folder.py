@@ -4,11 +4,9 @@ import os
 import pytest
 from support import attacks
 
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config import ExperimentConfig
 from modalcam.errors import InputError, OutputError
-from modalcam.storage.atomic import replacing, write_text
-from modalcam.storage.output_folder import Outputs, RunRecord, Source, Workspace
-from modalcam.storage.provenance import RememberedHashes
+from modalcam.storage import Outputs, RememberedHashes, RunRecord, Source, Workspace, replacing, write_text
 
 
 def test_a_run_record_is_read_back(tmp_path):

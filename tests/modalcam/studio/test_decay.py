@@ -8,10 +8,11 @@ from support import report_runs as runs
 from support.modal_decays import series_of
 from support.modalcam_data import sample_tracks
 
-from modal_id.identify import identify
-from modalcam.config.schema import RecordingConfig
-from modalcam.studio.decay import (
+from modal_id import identify
+from modalcam.config import RecordingConfig
+from modalcam.studio import (
     DecayTask,
+    Problem,
     TrialDecayTask,
     amplitude_spectrum,
     decay_of,
@@ -19,7 +20,6 @@ from modalcam.studio.decay import (
     shown_decay,
     thinned,
 )
-from modalcam.studio.decoding import Problem
 
 
 def test_a_thinned_curve_keeps_its_extremes_and_its_order():

@@ -6,10 +6,9 @@ import tomllib
 import pytest
 from support.paths import SAMPLES
 
-from modalcam.config.toml import load_config
+from modalcam.config import load_config
 from modalcam.errors import ConfigError, OutputError
-from modalcam.studio.draft import Draft
-from modalcam.studio.edits import with_option, with_options_of
+from modalcam.studio import Draft, with_option, with_options_of
 
 COMMENTED = """\
 # heading of the lab

@@ -6,12 +6,10 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from modalcam.config.schema import RecordingConfig
+from modalcam.config import RecordingConfig
 from modalcam.errors import ModalcamError
+from modalcam.studio import DetectedMarker, Draft, in_image, marked, markers_text, on_canvas, overlay, trail
 from modalcam.studio import markers_edit as edit
-from modalcam.studio.draft import Draft
-from modalcam.studio.overlay import in_image, marked, markers_text, on_canvas, overlay, trail
-from modalcam.studio.trial import DetectedMarker
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ import pytest
 from support.decay_clip import write_decay
 
 from modalcam.errors import ExitCode, ModalcamError
-from modalcam.studio.run_child import RunRequest
-from modalcam.studio.running import Runner, RunState
+from modalcam.studio import Runner, RunRequest, RunState
 
 
 def line(**values):

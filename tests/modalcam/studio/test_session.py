@@ -9,12 +9,10 @@ from support import tracker_media as media
 from support.decay_clip import write_decay
 from support.paths import ROOT
 
-from modalcam.config.toml import load_config
+from modalcam.config import load_config
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
-from modalcam.studio.decoding import Problem
-from modalcam.studio.overlay import overlay
-from modalcam.studio.session import Pools, Studio, options_error
-from tracker.results import FailedTracking
+from modalcam.studio import Pools, Problem, Studio, options_error, overlay
+from tracker import FailedTracking
 
 SAMPLE_BARE = ROOT / "sample_bare"
 HOSTILE = '"]]\n[beam]\nlength_mm = 1 #<script>.avi'

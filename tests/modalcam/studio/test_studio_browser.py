@@ -10,7 +10,7 @@ from support.decay_clip import write_decay, write_faint_mode
 from support.paths import ROOT
 from support.studio import CHROMIUM, RUN_MS, answer, click_frame, opened, running_studio, show, targets
 
-from modalcam.config.toml import load_config
+from modalcam.config import load_config
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: install Debian's package chromium"),

@@ -8,13 +8,11 @@ import pytest
 from support.paths import REALDATA, REALDATA_ABSENT, SAMPLES
 from support.studio import CHROMIUM, RUN_MS, click_frame, opened, running_studio, save_and_run, show, targets
 
-from modalcam.config.resolve import beam_properties
-from modalcam.config.toml import load_config
-from modalcam.execution.pool import Progress
-from modalcam.video.film_beam import film_config
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.render.recording import RecordingPlan
+from modalcam.config import beam_properties, load_config
+from modalcam.execution import Progress
+from modalcam.video import film_config
+from sim.beam import AncfBeam, beam_modes
+from sim.render import RecordingPlan
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: install Debian's package chromium"),

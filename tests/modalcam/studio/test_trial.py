@@ -9,18 +9,23 @@ import pytest
 from support.modalcam_data import sample_tracks
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
-from modalcam.studio.decoding import Problem
-from modalcam.studio.expected import ExpectedTask, expected_intervals
-from modalcam.studio.trial import Trial, TrialTask, trial_track
-from modalcam.studio.trial_summary import TrialRow, _advice, summarised
-from modalcam.studio.trial_windows import evenly, followed_windows
-from tracker.displacement import displacement_series
-from tracker.geometry.time_axis import TimeAxis
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
+from modalcam.studio import (
+    ExpectedTask,
+    Problem,
+    Trial,
+    TrialRow,
+    TrialTask,
+    evenly,
+    expected_intervals,
+    followed_windows,
+    summarised,
+    trial_track,
+)
+from modalcam.studio.trial_summary import _advice
+from tracker import TrackerSettings, displacement_series, track
+from tracker.geometry import TimeAxis
 
 SD_PX, FPS, FRAMES = 0.01, 500.0, 300
 LOSSLESS = {"lossy": False, "predictive": False}

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from modalcam import cli
-from modalcam.config.resolve import tracker_settings
-from modalcam.config.toml import dump_config, load_config, parse_config
+from modalcam.config import dump_config, load_config, parse_config, tracker_settings
 from modalcam.errors import ConfigError
-from tracker.geometry.charuco import Board, calibrate_lens
-from tracker.geometry.lens import Lens, undistort
+from tracker.geometry import Board, Lens, calibrate_lens, undistort
 
 BOARD = Board(7, 5, 30.0, 22.0, "DICT_4X4_50")
 TRUTH = Lens(640, 480, (820.0, 818.0), (325.0, 236.0), (-0.22, 0.09, 6e-4, -4e-4, 0.0))

@@ -13,10 +13,8 @@ from typer.testing import CliRunner
 
 from modalcam import cli
 from modalcam.errors import ModalcamError
-from modalcam.targets.board import board_page
-from modalcam.targets.markers import aruco_pages, dot_pages, parse_ids
-from modalcam.targets.sheet import save_pages
-from tracker.geometry.charuco import Board
+from modalcam.targets import aruco_pages, board_page, dot_pages, parse_ids, save_pages
+from tracker.geometry import Board
 
 SVG = "{http://www.w3.org/2000/svg}"
 PX_PER_MM = 8

@@ -8,9 +8,9 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
-from modalcam.export.summary import summary
-from modalcam.report.build import build_report
-from modalcam.video.exaggerated import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
+from modalcam.export import summary
+from modalcam.report import build_report
+from modalcam.video import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
 
 STATIONS = 60
 BRIGHT, DARK = 180.0, 60.0

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from modalcam.errors import ConfigError
-from modalcam.execution.pool import Progress
-from modalcam.video.film_beam import film_config
-from sim.render.recording import RecordingPlan
+from modalcam.execution import Progress
+from modalcam.video import film_config
+from sim.render import RecordingPlan
 
 CONFIG = """
 [camera]

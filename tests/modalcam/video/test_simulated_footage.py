@@ -12,17 +12,22 @@ import pytest
 from support.render_truth import centroid
 from support.sim_decays import exponent, identification
 
-from modalcam.config.schema import RecordingConfig
-from modalcam.report.sections.images import film
-from modalcam.report.style.environment import environment
-from modalcam.video.kept_frames import chosen_rows, read_kept_frames, reduced
-from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from modalcam.video.simulated_footage import film_simulation
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modalcam.config import RecordingConfig
+from modalcam.report.sections import film
+from modalcam.report.style import environment
+from modalcam.video import (
+    KeptFrames,
+    NoFootage,
+    SimulatedFootage,
+    chosen_rows,
+    film_simulation,
+    read_kept_frames,
+    reduced,
+)
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import paper_beam
-from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
+from sim.reference import paper_beam
+from tracker import DecodeReport, MarkerTracks, Scale, TimeAxis
 
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])
 FPS, SCALE, RATIO, TIP_MM = 250.0, 0.8, 0.02, 1.0

@@ -10,9 +10,8 @@ from support.modalcam_data import sample_tracks
 from support.tracker_scenes import Recording
 
 from modalcam import cli
-from modalcam.video.track_preview import annotate
-from tracker.flags import POOR_FIT
-from tracker.results import DecodeReport
+from modalcam.video import annotate
+from tracker import POOR_FIT, DecodeReport
 
 
 @pytest.fixture

@@ -7,13 +7,11 @@ from scipy.optimize import brentq
 from support.drag_film import DAMPING, identified_film
 from support.sim_decays import identification
 
-from modal_id.results import AmplitudeDependence, FailedIdentification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.comparison import AirDrag, Candidate, DragFit, DragLimit, compare_decay
-from sim.comparison.drag import averaged_damping_slope
+from modal_id import AmplitudeDependence, FailedIdentification
+from sim.beam import AncfBeam, beam_modes
+from sim.comparison import AirDrag, Candidate, DragFit, DragLimit, averaged_damping_slope, compare_decay
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
+from sim.reference import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 
 
 def skip_identification(series):

@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from support.modal_decays import coloured
 
-from modal_id.identify import identify
-from modal_id.results import FailedIdentification
-from modal_id.settings import IdentifySettings, SamplerSettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import FailedIdentification, IdentifySettings, SamplerSettings, identify
+from sim.beam import AncfBeam, beam_modes
 from sim.comparison import BAND_DRAWS, Candidate, compare_decay, draw_indices
 from sim.damping import GenericDamping, RayleighDamping
-from sim.dynamics.excitation import state_with_coordinates
-from sim.dynamics.simulate import simulate
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
-from tracker.results import DisplacementSeries
+from sim.dynamics import simulate, state_with_coordinates
+from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
+from tracker import DisplacementSeries
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)

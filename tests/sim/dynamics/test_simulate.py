@@ -10,18 +10,19 @@ from docs.reference_solutions import (
     log_energy_slope,
     small_decay,
 )
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
-from sim.dynamics.excitation import (
+from sim.dynamics import (
+    BaseMotion,
+    FailedSimulation,
     HarmonicThenStop,
+    State,
     released_state,
     shake_and_stop,
+    simulate,
     state_from_modes,
 )
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
+from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
 
 TIP = np.array([0.5])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)

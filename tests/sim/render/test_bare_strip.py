@@ -7,13 +7,26 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from support.render_truth import box_gauss, still
 
-from sim.render.camera import Camera
-from sim.render.frames import render_frames, render_ideal, true_centres_px, true_line_px
-from sim.render.markers import DotMarker
-from sim.render.scene import Scene, Strip
-from sim.render.strip.bare_strip import BareStrip, Stripe, Surface
-from sim.render.strip.bending import BendingLine, DecayingMode, cantilever_slope, decaying_cantilever
-from sim.render.texture import Texture
+from sim.render import (
+    Camera,
+    DotMarker,
+    Scene,
+    Strip,
+    Texture,
+    render_frames,
+    render_ideal,
+    true_centres_px,
+    true_line_px,
+)
+from sim.render.strip import (
+    BareStrip,
+    BendingLine,
+    DecayingMode,
+    Stripe,
+    Surface,
+    cantilever_slope,
+    decaying_cantilever,
+)
 
 # As of markers: 0.001 counts of 8 bit, half from the cells (2.4e-6 of the contrast an edge), half from the exposure.
 GRAY_TOLERANCE = 1.0e-3

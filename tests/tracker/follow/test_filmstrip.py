@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tracker.follow.filmstrip import MOST_IMAGES, StripKeeper
+from tracker.follow import MOST_IMAGES, StripKeeper
 
 
 def filled(n, x, size=(100, 640)):

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 
-from tracker import flags
-from tracker.follow.repeated_frames import image_change, repeated_frames
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, flags, track
+from tracker.follow import image_change, repeated_frames
 
 N = 600
 NOISE_PX = 0.03

@@ -7,13 +7,19 @@ import cv2
 import numpy as np
 import pytest
 
-from tracker.displacement import displacement_series
-from tracker.geometry.lens import Lens, undistort, undistortion_jacobian
-from tracker.geometry.plane import plane_from_metrics, plane_from_points, plane_jacobian, to_plane
-from tracker.geometry.scale import resolve_scale
-from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
-from tracker.settings import TrackerSettings
+from tracker import DecodeReport, MarkerTracks, Scale, TimeAxis, TrackerSettings, displacement_series
+from tracker.geometry import (
+    Lens,
+    plane_from_metrics,
+    plane_from_points,
+    plane_jacobian,
+    resolve_scale,
+    row_delay_s,
+    to_common_time,
+    to_plane,
+    undistort,
+    undistortion_jacobian,
+)
 
 
 def distort(lens, x_px, y_px):

@@ -7,9 +7,8 @@ import pytest
 from support import camera_files as files
 from support import tracker_media as media
 
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.geometry import resolve_time_axis
 
 
 def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None, ppm=None):

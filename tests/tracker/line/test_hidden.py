@@ -5,11 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from modal_id.data.prepare import prepare
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.line.hidden import hidden_motion
-from tracker.results import DecodeReport, MarkerTracks, TimeAxis
+from modal_id.data import prepare
+from tracker import DecodeReport, MarkerTracks, TimeAxis, displacement_series, flags
+from tracker.line import hidden_motion
 
 FPS, FREQUENCY_HZ, SD_PX, FRAMES = 1000.0, 31.0, 0.02, 1200
 AMPLITUDES_PX = (0.03, 0.05, 0.5, 1.0)

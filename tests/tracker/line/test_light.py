@@ -7,11 +7,7 @@ import pytest
 from support.line_films import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene, bound_px
-from tracker.line import kernel
-from tracker.line.calibrate import EDGE_FLANK_PX
-from tracker.line.curve import Centreline
-from tracker.line.follower import LineFollower
-from tracker.line.light import UNKNOWN_LIGHT, learned_light
+from tracker.line import EDGE_FLANK_PX, UNKNOWN_LIGHT, Centreline, LineFollower, kernel, learned_light
 
 FRAMES = 48
 SCENE = LineScene(**SMALL, feature="edge")

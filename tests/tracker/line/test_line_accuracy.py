@@ -7,7 +7,7 @@ import pytest
 from support.line_films import SMALL, followed
 
 from benchmarks.line_scenes import LineScene, bound_px
-from tracker.line.calibrate import EDGE_FLANK_PX
+from tracker.line import EDGE_FLANK_PX
 
 FRAMES = 20
 CASES = {

@@ -5,9 +5,8 @@ import pytest
 from support.line_films import SMALL
 
 from benchmarks.line_scenes import LineScene
-from tracker.line.calibrate import calibrate_line
-from tracker.line.model import INSET_PX
-from tracker.markers.line import SEEN_SD_PX
+from tracker.line import INSET_PX, calibrate_line
+from tracker.markers import SEEN_SD_PX
 
 CAMERA = np.array([4.0, 0.0, 255.0])
 

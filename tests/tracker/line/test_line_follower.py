@@ -9,9 +9,7 @@ from support.line_films import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene
 from tracker import flags
-from tracker.line import line_kernels
-from tracker.line.follower import LARGEST_MISS_PX, LineFollower
-from tracker.line.line_kernels import LEARNABLE_PX, LINES, ORDER
+from tracker.line import LARGEST_MISS_PX, LEARNABLE_PX, LINES, ORDER, LineFollower, line_kernels
 
 SCENE = LineScene(**SMALL)
 

@@ -7,17 +7,12 @@ import pytest
 from support.line_films import SMALL
 
 from benchmarks.line_scenes import LineScene
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from modalcam.export.tables import write_tracks
-from modalcam.inputs.series import tracks_from_table
-from modalcam.inputs.table import read_table
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.line.calibrate import ENDS_PX
-from tracker.line.find import NoMovingLine, find_line
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modalcam.export import write_tracks
+from modalcam.inputs import read_table, tracks_from_table
+from sim.render import write_video
+from tracker import TrackerSettings, displacement_series, track
+from tracker.line import ENDS_PX, NoMovingLine, find_line
 
 FPS, RATE, ZETA = 500.0, 0.0371, 0.008
 SCENE = LineScene(

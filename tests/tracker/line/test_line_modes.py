@@ -7,8 +7,7 @@ import pytest
 from support.line_films import SMALL, followed
 
 from benchmarks.line_scenes import LineScene
-from tracker.line.calibrate import calibrate_line
-from tracker.line.follower import LineFollower
+from tracker.line import LineFollower, calibrate_line
 
 SCENE = LineScene(**SMALL)
 LONGER = replace(SCENE, length_px=180.0, shape=(220, 76))

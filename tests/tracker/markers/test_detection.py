@@ -7,19 +7,26 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
-from tracker.markers import aruco, dots
-from tracker.markers.aruco import LEAST_LIKENESS, ArucoDetector
-from tracker.markers.base import FoundMarkers
-from tracker.markers.beam_order import order_along_beam
-from tracker.markers.codes import dictionary_of, likeness, opencv_detector, read_codes
-from tracker.markers.dots import DOT, DotDetector
-from tracker.markers.patch import PatchDetector
-from tracker.markers.registry import detect_markers
-from tracker.markers.spots import Spot, find_spots
-from tracker.settings import TrackerSettings
-from tracker.template.parametric import OVERSAMPLING, disc_values
-from tracker.template.spline import from_values, grid_px
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.markers import (
+    DOT,
+    LEAST_LIKENESS,
+    ArucoDetector,
+    DotDetector,
+    FoundMarkers,
+    PatchDetector,
+    Spot,
+    aruco,
+    detect_markers,
+    dictionary_of,
+    dots,
+    find_spots,
+    likeness,
+    opencv_detector,
+    order_along_beam,
+    read_codes,
+)
+from tracker.template import OVERSAMPLING, disc_values, from_values, grid_px
 
 COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
 

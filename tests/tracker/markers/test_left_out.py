@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
-from tracker.markers.base import LookAlikeDetector
-from tracker.markers.left_out import filled, leaving_out
-from tracker.markers.registry import detect_markers, marker_kind
-from tracker.results import MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import MarkerTracks, TrackerSettings, track
+from tracker.markers import LookAlikeDetector, detect_markers, filled, leaving_out, marker_kind
 
 POSITIONS = ((30.0, 50.0), (80.0, 52.0), (130.0, 49.0))
 

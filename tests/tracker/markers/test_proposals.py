@@ -8,8 +8,8 @@ import pytest
 from scipy import ndimage
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from tracker.markers.proposals import WINDOW_PX, propose_points
-from tracker.video.registry import open_recording
+from tracker.markers import WINDOW_PX, propose_points
+from tracker.video import open_recording
 
 HEIGHT, WIDTH = 200, 300
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tracker.arrays import FloatArray
-from tracker.register import kernel, poor_fit
-from tracker.register.marker import Camera, register
-from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template, from_values, grid_px
+from tracker import FloatArray
+from tracker.register import Camera, kernel, poor_fit, register
+from tracker.template import NoiseModel, Template, from_values, grid_px
 
 NOISE_SD = 1.5
 CAMERA = Camera(NoiseModel(NOISE_SD**2, 0.0), 255.0)

@@ -12,8 +12,7 @@ from support import reader_cases as cases
 from support import tracker_media as media
 from support.paths import ROOT
 
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import input_files, open_recording, probe
+from tracker.video import UnreadableVideoError, input_files, open_recording, probe
 
 REJECTED_WHEN_TRUNCATED = {"h264 mp4", "mpeg4 mov"}  # their index is at the end of the file
 

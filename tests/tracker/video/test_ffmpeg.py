@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.ffmpeg import VideoSource
-from tracker.video.registry import probe
+from tracker import TrackerSettings, flags, track
+from tracker.video import UnreadableVideoError, VideoSource, probe
 
 CONTAINERS = [
     ("mjpeg", "avi"),

@@ -10,13 +10,15 @@ import tifffile
 from support import camera_files as files
 from support import tracker_media as media
 
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.image_folder import ImageFolder, image_series
-from tracker.video.registry import open_recording
-from tracker.video.tiff import TiffSource, is_stack
+from tracker import TrackerSettings, flags, track
+from tracker.video import (
+    ImageFolder,
+    TiffSource,
+    UnreadableVideoError,
+    image_series,
+    is_stack,
+    open_recording,
+)
 
 BLOB = TrackerSettings(kind="blob", fps=Fraction(500))
 

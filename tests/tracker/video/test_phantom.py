@@ -6,11 +6,8 @@ from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.video.base import UnreadableVideoError
-from tracker.video.ffmpeg import VideoSource
-from tracker.video.phantom import PhantomSource, linear_10
-from tracker.video.registry import open_recording
+from tracker.geometry import resolve_time_axis
+from tracker.video import PhantomSource, UnreadableVideoError, VideoSource, linear_10, open_recording
 
 REAL = REALDATA / "highspeed_formats"
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)

@@ -10,12 +10,9 @@ from support import tracker_media as media
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.gray import unpacked
-from tracker.video.photron import PhotronSource
+from tracker import TrackerSettings, track
+from tracker.geometry import resolve_time_axis
+from tracker.video import PhotronSource, UnreadableVideoError, unpacked
 
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.stats import linregress
 from support import report_runs as runs
 
-from modalcam.report.derived.signals import (
-    _slope,
+from modalcam.report.derived import (
     highest,
     measured_envelope,
     mode_motion,
@@ -16,8 +15,8 @@ from modalcam.report.derived.signals import (
     shown_mode,
     spectral_density,
 )
-from modalcam.report.figures.damping import rayleigh_damping_ratio
-from modalcam.report.figures.shape import in_phase
+from modalcam.report.derived.signals import _slope
+from modalcam.report.figures import in_phase, rayleigh_damping_ratio
 
 
 def identification(number=2, **more):

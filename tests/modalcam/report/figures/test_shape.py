@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.shape import shape_of
+from modalcam.report.figures import RecordingSubject, shape_of
 
 
 def test_the_assurance_criterion_is_that_of_the_drawn_curve():

@@ -7,11 +7,10 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
-from modalcam.pipeline.model_scores import model_scores
-from modalcam.report.build import build_report
-from modalcam.report.sections.comparison import findings, worst_ratios
-from modalcam.report.style.environment import environment
-from modalcam.report.style.format import thousands
+from modalcam.pipeline import model_scores
+from modalcam.report import build_report
+from modalcam.report.sections import findings, worst_ratios
+from modalcam.report.style import environment, thousands
 from sim.comparison import DragFit, DragLimit, ScoreSum
 from sim.damping import DAMPING_MODELS, DampingModelEntry, register_damping_model
 

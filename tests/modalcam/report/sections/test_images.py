@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.report.sections.images import first_frame, strip
-from tracker.results import FailedTracking
+from modalcam.report.sections import first_frame, strip
+from tracker import FailedTracking
 
 
 def test_the_strip_shows_start_onset_largest_motion_and_end():

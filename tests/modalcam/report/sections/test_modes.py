@@ -8,13 +8,12 @@ import pytest
 from support.html_page import Page
 from support.sim_decays import identification
 
-from modal_id.modes.residual_checks import residual_checks
-from modal_id.posterior.frame_rate import with_rate_error
-from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.build import build_report
-from modalcam.report.derived.signals import instantaneous
-from modalcam.report.sections.recording import Detail, recording_view
+from modal_id.modes import residual_checks
+from modal_id.posterior import with_rate_error
+from modalcam.pipeline import RecordingResult, RunResult, measured_modes
+from modalcam.report import build_report
+from modalcam.report.derived import instantaneous
+from modalcam.report.sections import Detail, recording_view
 
 TIME_S = np.arange(3000) / 500.0
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])

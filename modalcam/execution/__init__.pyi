@@ -1,0 +1,14 @@
+from . import dask as dask
+from . import pool as pool
+from .dask import IncompatibleWorkerError as IncompatibleWorkerError
+from .dask import WorkerRequirements as WorkerRequirements
+from .dask import cluster_pool as cluster_pool
+from .frame_count import FrameCount as FrameCount
+from .heap import low_memory_limits as low_memory_limits
+from .heap import return_large_arrays as return_large_arrays
+from .local import SINGLE_THREAD as SINGLE_THREAD
+from .local import Limits as Limits
+from .pool import Progress as Progress
+from .pool import TaskFailure as TaskFailure
+from .pool import WorkerPool as WorkerPool
+from .pool import worker_pool as worker_pool

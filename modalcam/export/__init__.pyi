@@ -1,0 +1,14 @@
+from . import netcdf as netcdf
+from . import tables as tables
+from .base import Output as Output
+from .base import Writer as Writer
+from .first_frame import write_first_frame as write_first_frame
+from .shapes import COLUMNS as COLUMNS
+from .shapes import SHAPES as SHAPES
+from .summary import summary as summary
+from .tables import write_tracks as write_tracks
+from .uff import write_uff as write_uff
+from .writers import WRITERS as WRITERS
+from .writers import outputs as outputs
+from .writers import register_writer as register_writer
+from .writers import with_missing_formats as with_missing_formats

@@ -1,0 +1,17 @@
+from .discover import Discovery as Discovery
+from .discover import Found as Found
+from .discover import Selection as Selection
+from .discover import discover as discover
+from .probe import RATE_UNKNOWN as RATE_UNKNOWN
+from .probe import Probe as Probe
+from .probe import probe_folder as probe_folder
+from .probe import probe_recordings as probe_recordings
+from .probe import starter_config as starter_config
+from .series import is_tracks as is_tracks
+from .series import series_from_table as series_from_table
+from .series import tracks_from_table as tracks_from_table
+from .table import MAX_BYTES as MAX_BYTES
+from .table import Table as Table
+from .table import read_table as read_table
+from .uff import ENDINGS as ENDINGS
+from .uff import read_uff as read_uff

@@ -1,0 +1,13 @@
+from .page import advice as advice
+from .page import plan_html as plan_html
+from .page import show as show
+from .plan import plan as plan
+from .predict import predict as predict
+from .request import plan_request as plan_request
+from .results import Plan as Plan
+from .results import TrialSummary as TrialSummary
+from .softening import frequency_per_amplitude_squared as frequency_per_amplitude_squared
+from .suggest import better_positions as better_positions
+from .suggest import frame_rates as frame_rates
+from .template_error import template_factors as template_factors
+from .trials import run_trials as run_trials

@@ -1,0 +1,16 @@
+from .signals import best_modes as best_modes
+from .signals import decay_of as decay_of
+from .signals import drawn_decays as drawn_decays
+from .signals import highest as highest
+from .signals import instantaneous as instantaneous
+from .signals import main_modes as main_modes
+from .signals import measured_envelope as measured_envelope
+from .signals import mode_motion as mode_motion
+from .signals import nrmse_of_fit as nrmse_of_fit
+from .signals import residual as residual
+from .signals import shown_channel as shown_channel
+from .signals import shown_mode as shown_mode
+from .signals import spectral_density as spectral_density
+from .tracking_quality import TrackingQuality as TrackingQuality
+from .tracking_quality import prediction_residual as prediction_residual
+from .tracking_quality import tracking_quality as tracking_quality

@@ -1,0 +1,13 @@
+from .excitation import HarmonicThenStop as HarmonicThenStop
+from .excitation import released_state as released_state
+from .excitation import shake_and_stop as shake_and_stop
+from .excitation import state_from_modes as state_from_modes
+from .excitation import state_with_coordinates as state_with_coordinates
+from .excitation import steady_response as steady_response
+from .free_decay import SimulationError as SimulationError
+from .free_decay import simulate_free_decay as simulate_free_decay
+from .simulate import simulate as simulate
+from .trajectory import BaseMotion as BaseMotion
+from .trajectory import FailedSimulation as FailedSimulation
+from .trajectory import State as State
+from .trajectory import Trajectory as Trajectory

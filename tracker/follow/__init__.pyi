@@ -1,0 +1,10 @@
+from .filmstrip import MOST_IMAGES as MOST_IMAGES
+from .filmstrip import StripKeeper as StripKeeper
+from .follow_recording import FollowedFrames as FollowedFrames
+from .follow_recording import Progress as Progress
+from .follow_recording import follow_recording as follow_recording
+from .follower import Follower as Follower
+from .frame_results import CHUNK_ROWS as CHUNK_ROWS
+from .frame_results import RowStore as RowStore
+from .repeated_frames import image_change as image_change
+from .repeated_frames import repeated_frames as repeated_frames
