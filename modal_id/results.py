@@ -59,7 +59,7 @@ class IdentifiedMode(Table):
     flags : tuple of str
         Names from `modal_id.flags`.
     severities : tuple of (flag, severity)
-        Names of the `tracker.severity.Severity` of each flag by its effect on the result, as a share of the interval.
+        Names of the `tracker.flags.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
     decays : tuple of DecayValue

@@ -9,7 +9,7 @@ from support.paths import ROOT
 # What each package may import of the others: prefixes of module names.
 PACKAGES = {
     "tracker": (),
-    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base", "tracker.severity"),
+    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base", "tracker.flags"),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }

@@ -5,14 +5,15 @@ from .arrays import FloatArray as FloatArray
 from .arrays import GrayImage as GrayImage
 from .arrays import IntArray as IntArray
 from .displacement import displacement_series as displacement_series
+from .displacement import misleading_losses as misleading_losses
 from .flags import BLURRED as BLURRED
 from .flags import DUPLICATE_FRAME as DUPLICATE_FRAME
 from .flags import LOSSY as LOSSY
 from .flags import NOT_FOUND as NOT_FOUND
 from .flags import POOR_FIT as POOR_FIT
 from .flags import REGISTRY as REGISTRY
+from .flags import Severity as Severity
 from .flags import parse_flags as parse_flags
-from .losses import misleading_losses as misleading_losses
 from .position_errors import FORWARD_LAG as FORWARD_LAG
 from .position_errors import FORWARD_LAG_SD as FORWARD_LAG_SD
 from .position_errors import FORWARD_SHRINKAGE as FORWARD_SHRINKAGE
@@ -47,7 +48,6 @@ from .settings_base import models_in as models_in
 from .settings_base import parse_fps as parse_fps
 from .settings_base import problems as problems
 from .settings_base import write_fps as write_fps
-from .severity import Severity as Severity
 from .track import CALIBRATION_FRAMES as CALIBRATION_FRAMES
 from .track import LEAST_FRAMES as LEAST_FRAMES
 from .track import find_markers as find_markers

@@ -1,10 +1,21 @@
-"""Quality flags of a marker in a frame: one registry for data, documentation and decoder."""
+"""Quality flags of a marker in a frame: one registry for data, documentation and decoder.
+
+Severity of a quality flag: what it means for the result.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
-from tracker.severity import Severity
+
+class Severity(Enum):
+    """In order; the value states the meaning in report and documentation."""
+
+    WRONG = "The value may be wrong by more than its interval."
+    INTERVAL = "The interval is right, and wider for this reason; or part of the record is missing."
+    INFORMATION = "The value and its interval account for it."
+
 
 # Shares of the frames below which a flag does not matter, and above which the rest may be selected by the motion.
 _RARE, _MOST = 0.01, 0.5

@@ -12,7 +12,8 @@ from modal_id.data import FitData
 from modal_id.fit import ModalFit
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior import determine_mode, noise_level
-from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
+from modal_id.record import Onset, Segment
+from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 

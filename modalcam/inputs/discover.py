@@ -12,6 +12,7 @@ from modalcam.errors import InputError, NoInputError
 from modalcam.files import real
 from modalcam.names import natural_key, recording_names, shown
 from tracker.video import (
+    HEADER_SUFFIXES,
     IMAGE_SUFFIXES,
     PIXEL_SUFFIX,
     TIFF_SUFFIXES,
@@ -20,7 +21,6 @@ from tracker.video import (
     is_stack,
     recording_suffixes,
 )
-from tracker.video.headers import HEADER_SUFFIXES
 
 MAX_DEPTH = 4
 MAX_FILES = 10_000

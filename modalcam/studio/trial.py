@@ -174,7 +174,7 @@ def _images(source: FrameSource, count: int) -> list[GrayImage]:
 
 
 class _FirstFrames:
-    """The beginning of an open recording, as a `tracker.video.base.FrameSource`."""
+    """The beginning of an open recording, as a `tracker.video.source.FrameSource`."""
 
     def __init__(self, source: FrameSource, count: int) -> None:
         self._source = source

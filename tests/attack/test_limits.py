@@ -17,8 +17,7 @@ from modalcam.inputs import Table, discover, read_table, series_from_table, trac
 from modalcam.targets import calibrate_folder
 from tracker import TRACK_COLUMNS
 from tracker.geometry import Board
-from tracker.video import TiffSource, UnreadableVideoError, is_stack
-from tracker.video.headers import read_photron_header
+from tracker.video import TiffSource, UnreadableVideoError, is_stack, read_photron_header
 
 
 def write_png(path, width, height):

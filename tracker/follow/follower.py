@@ -10,9 +10,8 @@ from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
 from tracker.follow.fits import Fits
-from tracker.follow.look_alikes import LookAlikes
 from tracker.follow.predict import Predictor
-from tracker.follow.recovery import Recovery
+from tracker.follow.recovery import LookAlikes, Recovery
 from tracker.markers import LookAlikeDetector, MarkerDetector
 from tracker.register import Camera, MarkerModel, kernel
 from tracker.template import SMALLEST_PX, exposed_path_px, path_length_px

@@ -9,12 +9,10 @@ import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
-from tracker.line.background import learned_background
 from tracker.line.curve import LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, Centreline, CurveAt, resampled, smoothed
-from tracker.line.follower import Fit, LineFollower
+from tracker.line.follower import Fit, FoundPath, LineFollower, centred, find_path, straightened
 from tracker.line.light import learned_light
-from tracker.line.model import INSET_PX, LineModel
-from tracker.line.path import FoundPath, centred, find_path, straightened
+from tracker.line.model import INSET_PX, LineModel, learned_background
 from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
 
 Feature = Literal["strip", "edge", "auto"]

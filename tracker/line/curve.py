@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line.kernel import Background
 from tracker.line.light import Light
-from tracker.line.line_kernels import LineArrays
+from tracker.line.stations import LineArrays
 
 # Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
 LEAST_SPLINES, MOST_SPLINES, STATIONS_PER_SPLINE = 5, 16, 2.5

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line.curve import CurveAt
-from tracker.line.path import find_path, straightened
+from tracker.line.follower import find_path, straightened
 
 FRAMES = 16
 # Standard deviation over time, relative to that of a typical pixel, from which a pixel shows motion.

@@ -1,4 +1,4 @@
-"""Kinds of markers: one module each, behind the protocol of `tracker.markers.base`."""
+"""Kinds of markers: one module each, behind the protocol of `tracker.markers.kind`."""
 
 import lazy_loader
 

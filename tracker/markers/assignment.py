@@ -2,16 +2,31 @@
 
 One marker alone cannot be told from its neighbour that has taken its place. All together can: a shift by one place
 leaves a marker at one end without a spot and a spot at the other end without a marker.
+
+Order of markers along a beam seen from the side, and selection of its markers among many spots.
+
+Regions of the picture in which no marker is sought: they are filled from their edges before detection.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
+from typing import Literal, cast
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
 
-from tracker.arrays import BoolArray, FloatArray, IntArray
+from tracker.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from tracker.markers.kind import (
+    Candidates,
+    Detection,
+    FoundMarkers,
+    LookAlikeDetector,
+    MarkerDetector,
+    NothingFound,
+)
 
 # Negative logarithm of the probability that a visible marker is not detected, or that a spot is no marker.
 MISSING = 9.0
@@ -243,3 +258,160 @@ def _cost(scene: Scene, spots: IntArray) -> float:
     deviation = _deviation_cost(scene, scene.expected_px + _field(scene, spots, seen))
     shape = np.minimum(deviation[np.flatnonzero(seen), spots[seen]], MISSING).sum()
     return float(exceptions + shape + scene.expectation.cost(motion))
+
+
+ClampSide = Literal["top", "bottom", "left", "right"]
+
+# One direction must fit this many times worse before the spacing alone decides the clamped end.
+DECISIVE_RATIO = 3.0
+
+
+@dataclass(frozen=True)
+class BeamOrder:
+    """Indices of the markers from the clamp outwards, and notes for the user."""
+
+    order: IntArray
+    notes: tuple[str, ...]
+
+
+def order_along_beam(
+    points_px: FloatArray, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None
+) -> BeamOrder:
+    """Sort markers, of shape (n, 2), from the clamp outwards.
+
+    The line through the markers is their first principal axis. Its clamped end is at `clamp_side` where given; else
+    at the end from which `positions_mm` fit the spacing clearly better; else at the top of the image for a line closer
+    to vertical, at the left for one closer to horizontal.
+    """
+    centred = points_px - points_px.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(points_px) > 1 else np.array([0.0, 1.0])
+    upright = abs(axis[1]) >= abs(axis[0])
+    side = clamp_side or ("top" if upright else "left")
+    outward = {"top": (0, 1), "bottom": (0, -1), "left": (1, 0), "right": (-1, 0)}[side]
+    if axis @ np.array(outward, dtype=np.float64) < 0:
+        axis = -axis
+    along = centred @ axis
+    order = np.argsort(along, kind="stable")
+    if clamp_side is not None or len(order) < 2:
+        return BeamOrder(order, ())
+    if positions_mm is not None and len(order) > 2:
+        forward = _misfit(along[order], positions_mm)
+        backward = _misfit(-along[order[::-1]], positions_mm)
+        if forward > DECISIVE_RATIO * backward and forward > 0.02:
+            note = (
+                "The spacing of the markers puts the clamp at the opposite end; set clamp_side to override."
+            )
+            return BeamOrder(order[::-1].copy(), (note,))
+        if backward > DECISIVE_RATIO * forward and backward > 0.02:
+            return BeamOrder(order, ())
+    note = f"The clamp is assumed at the {side} of the image; set clamp_side if it is not."
+    return BeamOrder(order, (note,))
+
+
+def _misfit(along_px: FloatArray, positions_mm: tuple[float, ...]) -> float:
+    """Rms deviation of sorted pixel positions from a line in `positions_mm`, relative to their extent."""
+    mm = np.array(positions_mm)
+    line = np.polynomial.polynomial.polyfit(mm, along_px, 1)
+    if line[1] <= 0:
+        return float("inf")
+    rest = along_px - np.polynomial.polynomial.polyval(mm, line)
+    return float(np.sqrt(np.mean(rest**2)) / max(np.ptp(along_px), 1e-9))
+
+
+def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> IntArray | None:
+    """Indices of the spots that lie on a line with the spacing of `positions_mm`, among more spots than markers.
+
+    Every pair of spots is tried as first and last marker; the others must lie within a fifth of the smallest spacing.
+    The subset with the smallest error is returned, None when none fits.
+    """
+    mm = np.array(positions_mm)
+    first, last = int(np.argmin(mm)), int(np.argmax(mm))
+    share = (mm - mm[first]) / (mm[last] - mm[first])
+    spacing = float(np.min(np.diff(np.sort(share))))
+    fitting: list[tuple[float, tuple[int, ...]]] = []
+    for start, stop in permutations(points_px, 2):
+        span = stop - start
+        expected = start + share[:, None] * span
+        distance = np.linalg.norm(points_px[None, :, :] - expected[:, None, :], axis=2)
+        nearest = np.argmin(distance, axis=1)
+        error = distance[np.arange(len(mm)), nearest]
+        if len(set(nearest.tolist())) == len(mm) and error.max() < 0.2 * spacing * np.linalg.norm(span):
+            relative = float(np.sqrt(np.mean(error**2)) / np.linalg.norm(span))
+            fitting.append((relative, tuple(sorted(nearest.tolist()))))
+    return np.array(min(fitting)[1], dtype=np.int64) if fitting else None
+
+
+# Two opposite corners, in px.
+Region = Sequence[Sequence[float]]
+
+
+def leaving_out(detector: MarkerDetector, regions: Sequence[Region]) -> MarkerDetector:
+    """Detector that finds nothing in these regions, neither at first nor when a marker is lost."""
+    if not regions:
+        return detector
+    return (
+        _LookAlikes(detector, regions)
+        if isinstance(detector, LookAlikeDetector)
+        else _Other(detector, regions)
+    )
+
+
+def filled(image: GrayImage, regions: Sequence[Region]) -> GrayImage:
+    """Copy of an image whose regions continue the gray levels around them, without an edge of their own."""
+    out = image.copy()
+    for region in regions:
+        (left, top), (right, bottom) = np.sort(np.rint(np.asarray(region, dtype=float)), axis=0).astype(int)
+        rows = slice(max(top, 0), min(bottom + 1, image.shape[0]))
+        columns = slice(max(left, 0), min(right + 1, image.shape[1]))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            out[rows, columns] = _continued(out, rows, columns)
+    return out
+
+
+def _continued(image: GrayImage, rows: slice, columns: slice) -> FloatArray:
+    """Mean of what the pixels to the left and right, and those above and below, give for each pixel of a region."""
+    across = _between(image[rows], columns)
+    along = _between(image[:, columns].T, rows)
+    known = [part for part in (across, None if along is None else along.T) if part is not None]
+    return np.asarray(np.rint(np.mean(known, axis=0)) if known else np.median(image))
+
+
+def _between(lines: GrayImage, part: slice) -> FloatArray | None:
+    """Values of each line between the pixels before and after a part of it; None where there is neither."""
+    before = lines[:, part.start - 1].astype(float) if part.start > 0 else None
+    after = lines[:, part.stop].astype(float) if part.stop < lines.shape[1] else None
+    if before is None or after is None:
+        one = before if after is None else after
+        return None if one is None else np.repeat(one[:, None], part.stop - part.start, axis=1)
+    share = np.arange(1, part.stop - part.start + 1) / (part.stop - part.start + 1)
+    return np.asarray(before[:, None] + share * (after - before)[:, None])
+
+
+class _Other:
+    """Detector of markers that are told from each other, without the regions."""
+
+    def __init__(self, detector: MarkerDetector, regions: Sequence[Region]) -> None:
+        self._detector = detector
+        self._regions = regions
+
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        height, width = frames[0].shape
+        for region in self._regions:
+            (left, top), (right, bottom) = np.sort(np.asarray(region, dtype=float), axis=0)
+            if right < 0.0 or bottom < 0.0 or left > width - 1 or top > height - 1:
+                return NothingFound(
+                    f"the region of leave_out_px from ({left:g}, {top:g}) to ({right:g}, {bottom:g}) lies outside the "
+                    f"image of {width} x {height} px"
+                )
+        return self._detector.detect([filled(frame, self._regions) for frame in frames])
+
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
+        return self._detector.redetect(filled(image, self._regions), sought)
+
+
+class _LookAlikes(_Other):
+    """The same for markers that cannot be told from each other."""
+
+    def candidates(self, image: GrayImage, sought: tuple[Detection, ...]) -> Candidates:
+        detector = cast("LookAlikeDetector", self._detector)
+        return detector.candidates(filled(image, self._regions), sought)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.markers.kind import (
     Detection,
     DetectionSettings,
     FoundMarkers,

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.markers.kind import (
     Detection,
     DetectionSettings,
     FoundMarkers,

@@ -1,12 +1,22 @@
-"""Points that a user may want to follow as patches: texture that moves, in a film without markers."""
+"""Points that a user may want to follow as patches: texture that moves, in a film without markers.
+
+Motion that all markers have in common: where it is expected next, with its uncertainty.
+
+Motion of round spots in the first frames: spots on the beam move, those in the background do not.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.markers.assignment import Expectation, Scene, assign, completed, spacing_px
+from tracker.markers.kind import Candidates
 from tracker.video import to_8_bit
 
 Image = NDArray[np.float32]
@@ -120,3 +130,220 @@ def _add_peaks(found: list[tuple[float, float]], score: Image, most: int) -> Non
 
 def _take_out(score: Image, x: int, y: int) -> None:
     score[max(y - WINDOW_PX, 0) : y + WINDOW_PX + 1, max(x - WINDOW_PX, 0) : x + WINDOW_PX + 1] = 0.0
+
+
+# Sd of expected positions before any motion; its factor per frame, and its factor where nothing was found.
+FIRST_SD_PX, FADING, GROWTH = 1.0, 0.9, 1.5
+# The range of an oscillation is known after this many passes from one side to the other; a side begins at this share of
+# the range. When the range has grown by the third factor, passes are counted anew.
+PASSES, SIDE, GROWN = 3, 0.25, 1.2
+# Sd by which the motion may exceed its range so far, as a share of the range.
+BEYOND = 0.08
+# Predictions with a larger error, as a share of the range, are no better than the range itself.
+POOR = 0.25
+# An expected position of a single marker is used where it is this near to those of all others, in spacings.
+CONSISTENT = 0.3
+
+
+class CommonMotion:
+    """Running error of the predictions, and the limits between which all markers have swung so far.
+
+    Predictions are useless where markers move far between frames. What remains known is the range of an oscillation:
+    once it has passed back and forth, positions beyond it are improbable.
+    """
+
+    def __init__(self, first_px: FloatArray, size_px: float) -> None:
+        self._first, self._size = first_px, size_px
+        self.form_px = first_px.copy()
+        self._sd_px, self._frames = FIRST_SD_PX, 0
+        self._low, self._high = np.zeros(2), np.zeros(2)
+        self._side, self._passes, self._counted_px = 0, 0, 0.0
+
+    def saw(self, positions_px: FloatArray) -> None:
+        """After each frame: positions of all markers, shape (m, 2), NaN where missing."""
+        self._frames += 1
+        seen = np.isfinite(positions_px[:, 0])
+        if not seen.any():
+            return
+        moved = (positions_px[seen] - self._first[seen]).mean(axis=0)
+        self._low, self._high = np.minimum(self._low, moved), np.maximum(self._high, moved)
+        axis = int(np.argmax(self._high - self._low))
+        extent = float(self._high[axis] - self._low[axis])
+        if extent > GROWN * self._counted_px:
+            self._passes, self._counted_px = 0, extent
+        reach = SIDE * extent
+        off = float(moved[axis] - 0.5 * (self._low[axis] + self._high[axis]))
+        side = int(np.sign(off)) if abs(off) > reach else 0
+        if side and side != self._side:
+            self._passes += self._side != 0
+            self._side = side
+
+    def assigned(self, motion_px: FloatArray, form_px: FloatArray) -> None:
+        """After an assignment: its motion from the expected positions, NaN where none was found, and all markers."""
+        found = bool(np.all(np.isfinite(motion_px)))
+        missed = float(np.hypot(*motion_px)) if found else self._sd_px * GROWTH
+        self._sd_px, self._frames = max(missed, self.sd_px()), 0
+        self.form_px = form_px
+
+    def sd_px(self) -> float:
+        """Uncertainty of predictions: the largest recent error, which fades while nothing unexpected happens."""
+        return float(max(self._sd_px * FADING**self._frames, FIRST_SD_PX))
+
+    def is_unpredictable(self, share: float) -> bool:
+        """Whether predictions err by more than this share of the spacing between markers."""
+        return self.sd_px() > share * float(spacing_px(self.form_px, self._size).min())
+
+    def expect(self, predicted_px: FloatArray, known: BoolArray) -> Expectation:
+        """Where markers are expected, from predictions, shape (m, 2), of those `known` in the last frame."""
+        extent = float((self._high - self._low).max())
+        swings = self._passes >= PASSES
+        if swings and (self.sd_px() > POOR * extent or not known.any()):
+            # The middle of the range; anywhere within it is equally probable.
+            where, sd_px = self._first + 0.5 * (self._low + self._high), float("inf")
+        elif known.any():
+            common = self.form_px + np.median(predicted_px[known] - self.form_px[known], axis=0)
+            near = np.hypot(*(predicted_px - common).T) < CONSISTENT * spacing_px(self.form_px, self._size)
+            where, sd_px = np.where((known & near)[:, None], predicted_px, common), self.sd_px()
+        else:
+            where, sd_px = self.form_px, self.sd_px()
+        if not swings:
+            return Expectation(where, sd_px)
+        moved = (where - self._first).mean(axis=0)
+        limits = np.stack([self._low, self._high]) - moved
+        return Expectation(where, sd_px, limits, BEYOND * extent + FIRST_SD_PX)
+
+
+# Frames used, evenly spread over those given.
+MOTION_FRAMES = 9
+# A spot whose centroid moves by more than the first has moved; by less than the second, it is still.
+MOVED_PX, STILL_PX = 0.4, 0.15
+# A spot is tracked in a window of this many diameters about its centre, which is recentred this often.
+REACH, CENTRINGS = 1.5, 2
+# A spot is lost when less than this share of its contrast is left in the window.
+LEAST_CONTRAST = 0.4
+# A still spot belongs to the line of the moving ones when it lies within this many diameters of it.
+BESIDE = 1.5
+
+
+def spot_motion(frames: list[GrayImage], points_px: FloatArray, diameters_px: FloatArray) -> FloatArray:
+    """Range of each spot's centroid over a few frames, in px; shape (k,).
+
+    The centroid is that of a window of two diameters about the spot's position in the first frame: it underestimates
+    motion beyond half a diameter, which exceeds both thresholds anyway.
+    """
+    picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, MOTION_FRAMES)})
+    spots = list(zip(points_px, diameters_px, strict=True))
+    positions = np.array([[_centroid(frames[k], *spot)[:2] for spot in spots] for k in picks])
+    return np.asarray(np.hypot(*np.ptp(positions, axis=0).T))
+
+
+def centroid_path(frames: list[GrayImage], point_px: FloatArray, diameter_px: float) -> FloatArray:
+    """Centroid of a spot of the first frame in each frame, shape (n, 2), NaN from where it is lost.
+
+    Blur along the motion does not shift it: accurate to about a pixel.
+    """
+    positions = np.full((len(frames), 2), np.nan)
+    position, step = np.asarray(point_px, dtype=np.float64), np.zeros(2)
+    first = 0.0
+    for k, image in enumerate(frames):
+        aim, contrast = position + step, 0.0
+        for _ in range(CENTRINGS):
+            x, y, contrast = _centroid(image, aim, REACH * diameter_px)
+            aim = np.array([x, y])
+        first = first or contrast
+        if contrast < LEAST_CONTRAST * first:
+            break
+        step, position = aim - position if k else step, aim
+        positions[k] = position
+    return positions
+
+
+def spot_paths(
+    frames: list[GrayImage],
+    points_px: FloatArray,
+    diameters_px: FloatArray,
+    find: Callable[[GrayImage, FloatArray], Candidates],
+) -> tuple[FloatArray, bool]:
+    """Paths of the spots of the first frame, shape (k, n, 2), and whether they had to be assigned jointly.
+
+    Each spot is followed from frame to frame. Where one is lost on the way or two meet, as motion by more than a
+    diameter between frames causes, the candidates `find(image, expected)` of each frame are assigned to all spots
+    together; NaN where that leaves a spot without one.
+    """
+    spots = zip(points_px, diameters_px, strict=True)
+    single = np.array([centroid_path(frames, point, diameter) for point, diameter in spots])
+    if np.all(np.isfinite(single)) and not _any_meet(single, 0.5 * float(diameters_px.min())):
+        return single, False
+    paths = np.full_like(single, np.nan)
+    size = float(np.median(diameters_px))
+    motion, last = CommonMotion(points_px, size), points_px
+    for k, image in enumerate(frames):
+        expected = motion.expect(last, np.isfinite(last[:, 0]))
+        seen = find(image, expected.where_px)
+        found = assign(Scene(expected, seen.centres_px, size, seen.corners_px))
+        chosen = found.spots >= 0
+        paths[chosen, k] = seen.centres_px[found.spots[chosen]]
+        last = paths[:, k]
+        motion.assigned(found.motion_px, completed(last, motion.form_px))
+        motion.saw(last)
+    return paths, True
+
+
+def _any_meet(paths: FloatArray, near_px: float) -> bool:
+    return len(paths) > 1 and any(
+        scipy.spatial.distance.pdist(at).min() < near_px for at in np.swapaxes(paths, 0, 1)
+    )
+
+
+def stillest_frame(path_px: FloatArray) -> int:
+    """Frame in which a spot with this path, shape (n, 2), moves least; the first unless another is clearly better."""
+    if len(path_px) < 3:
+        return 0
+    speed = np.linalg.norm(path_px[2:] - path_px[:-2], axis=1) / 2.0
+    if not np.isfinite(speed[0]):
+        return 0
+    best = 1 + int(np.nanargmin(speed))
+    return best if speed[0] > MOVED_PX and speed[best - 1] <= 0.5 * speed[0] else 0
+
+
+def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[float, float, float]:
+    """Centroid of a spot, x and y, and its contrast: the largest difference from the rim of the window.
+
+    The centroid is that of the pixels that differ from the rim by more than half the contrast. Without contrast, or
+    with the window outside the image: the point itself and 0.
+    """
+    half = max(round(diameter), 3)
+    x, y = round(float(point[0])), round(float(point[1]))
+    left, top = max(x - half, 0), max(y - half, 0)
+    part = image[top : max(y + half + 1, 0), left : max(x + half + 1, 0)].astype(np.float64)
+    if part.size == 0:
+        return float(point[0]), float(point[1]), 0.0
+    rim = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+    weight = np.abs(part - np.median(rim))
+    contrast = float(weight.max())
+    weight = np.maximum(weight - 0.5 * contrast, 0.0)
+    total = float(weight.sum())
+    if total == 0.0:
+        return float(point[0]), float(point[1]), 0.0
+    rows, columns = np.indices(part.shape)
+    return (
+        left + float((weight * columns).sum()) / total,
+        top + float((weight * rows).sum()) / total,
+        contrast,
+    )
+
+
+def still_and_beside(points_px: FloatArray, diameters_px: FloatArray, motion_px: FloatArray) -> BoolArray:
+    """Spots that stand still beside the line of the moving ones: background, not the clamped end of the beam.
+
+    All False where fewer than two spots move.
+    """
+    moving = motion_px > MOVED_PX
+    if np.count_nonzero(moving) < 2:
+        return np.zeros(len(points_px), dtype=bool)
+    centre = points_px[moving].mean(axis=0)
+    axis = np.linalg.svd(points_px[moving] - centre, full_matrices=False)[2][0]
+    off = np.abs((points_px - centre) @ np.array([-axis[1], axis[0]]))
+    # A bent beam is not a straight line: a distance that its own dots have counts as on the line.
+    limit = np.maximum(BESIDE * diameters_px, 2.0 * float(off[moving].max()))
+    return np.asarray((motion_px < STILL_PX) & (off > limit))

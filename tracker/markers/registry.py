@@ -8,9 +8,15 @@ import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
-from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
+from tracker.markers.assignment import leaving_out
 from tracker.markers.dots import DOT
-from tracker.markers.left_out import leaving_out
+from tracker.markers.kind import (
+    DetectionSettings,
+    FoundMarkers,
+    MarkerDetector,
+    MarkerKind,
+    NothingFound,
+)
 from tracker.markers.line import LINE
 from tracker.markers.patch import PATCH
 

@@ -10,8 +10,7 @@ from scipy import ndimage
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template
-from tracker.template.spline_kernels import modelled_pixels
+from tracker.template.spline import Template, modelled_pixels
 
 # Side of the neighbourhood, px, whose share of the motion is determined; the larger one where that is uncertain.
 SIDES_PX = (3.0, 9.0)

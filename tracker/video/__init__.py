@@ -1,4 +1,4 @@
-"""Readers of recordings: one module each, behind the protocol of `tracker.video.base`."""
+"""Readers of recordings: one module each, behind the protocol of `tracker.video.source`."""
 
 import lazy_loader
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, GrayImage
-from tracker.video.base import Frame
+from tracker.video.source import Frame
 
 # Side of a coded block of JPEG and its kin, in px.
 BLOCK_PX = 8

@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.source import (
     Frame,
     FrameSource,
     Reader,
     SourceInfo,
     check_image_size,
     check_regular_file,
+    packed_bytes,
+    unpacked,
     unreadable,
 )
-from tracker.video.gray import packed_bytes, unpacked
 
 MAX_FRAMES = 10_000_000
 # "CI", and the length of the header in every version of the format.
@@ -88,7 +89,7 @@ def is_monochrome(path: Path) -> bool:
 
 
 class PhantomSource:
-    """A monochrome `.cine` as a `tracker.video.base.FrameSource`.
+    """A monochrome `.cine` as a `tracker.video.source.FrameSource`.
 
     Supported are pixels of 8 bit, of 9 to 16 bit in words, and packed to 10 or 12 bit. Packed 10-bit values are
     companded by the camera; they are linearised, because noise and blur act on the light. Time stamps are the camera's

@@ -12,7 +12,8 @@ import numpy as np
 import tifffile
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.source import (
     Frame,
     FrameSource,
     Reader,
@@ -20,11 +21,10 @@ from tracker.video.base import (
     UnreadableVideoError,
     check_image_size,
     check_regular_file,
+    luma_16,
     read_head,
     unreadable,
 )
-from tracker.video.gray import luma_16
-from tracker.video.headers import HEADER_SUFFIXES, with_companion, with_header_beside
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 MAX_PAGES = 10_000_000
@@ -61,7 +61,7 @@ def is_stack(path: Path) -> bool:
 
 
 class TiffSource:
-    """A TIFF as a `tracker.video.base.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
+    """A TIFF as a `tracker.video.source.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
 
     Pages are read one by one. ImageJ files that announce more images than they have pages store the others directly
     after the first. A damaged page is a frame without image.

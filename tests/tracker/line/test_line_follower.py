@@ -9,7 +9,16 @@ from support.line_films import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene
 from tracker import flags
-from tracker.line import LARGEST_MISS_PX, LEARNABLE_PX, LINES, ORDER, LineFollower, line_kernels
+from tracker.line import (
+    LARGEST_MISS_PX,
+    LEARNABLE_PX,
+    LINES,
+    ORDER,
+    LineFollower,
+)
+from tracker.line import (
+    stations as line_kernels,
+)
 
 SCENE = LineScene(**SMALL)
 

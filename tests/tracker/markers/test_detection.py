@@ -26,7 +26,7 @@ from tracker.markers import (
     order_along_beam,
     read_codes,
 )
-from tracker.template import OVERSAMPLING, disc_values, from_values, grid_px
+from tracker.template import PRINTED_OVERSAMPLING, disc_values, from_values, grid_px
 
 COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
 
@@ -386,9 +386,9 @@ def test_a_disc_fitted_to_what_is_no_dot_stays_small(monkeypatch):
 
     monkeypatch.setattr(dots, "disc_values", recorded)
     size = 12.0
-    u, v = grid_px(9.0, 9.0, OVERSAMPLING)
+    u, v = grid_px(9.0, 9.0, PRINTED_OVERSAMPLING)
     edge = 40.0 + 160.0 * np.clip(0.5 + u[None, :] + 0.02 * v[:, None] ** 2, 0.0, 1.0)
-    learned = from_values(edge, np.ones(edge.shape, np.uint8), OVERSAMPLING)
+    learned = from_values(edge, np.ones(edge.shape, np.uint8), PRINTED_OVERSAMPLING)
     detection = dots._detection("m1", 0, Spot(50.0, 50.0, size, light=False, levels=3), float("nan"))
     assert DOT.fit_learned(detection, learned) is None
     assert max(radii) <= dots.BEYOND * size

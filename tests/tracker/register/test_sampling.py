@@ -13,7 +13,7 @@ import sys
 import numpy as np
 from tracker.register.marker import Camera, register
 from tracker.template.noise import NoiseModel
-from tracker.template.parametric import disc_template
+from tracker.template.template import disc_template
 
 template, rng = disc_template(8.0, 0.9), np.random.default_rng(3)
 camera = Camera(NoiseModel(2.0, 0.05), 255.0)

@@ -186,7 +186,7 @@ def test_files_with_special_characters_in_their_names_open(tmp_path):
 
 def test_a_too_large_frame_is_rejected_before_decoding(tmp_path, monkeypatch):
     path = media.write(tmp_path / "a.avi", media.images(2))
-    monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 10_000)
+    monkeypatch.setattr("tracker.video.source.MAX_PIXELS", 10_000)
     with pytest.raises(UnreadableVideoError, match="over the limit"):
         VideoSource(path)
 

@@ -159,7 +159,7 @@ def test_too_many_pixels_are_rejected_before_decoding(tmp_path, monkeypatch):
             ImageFolder(folder)
     stack = tmp_path / "a.tif"
     tifffile.imwrite(stack, np.zeros((200, 300), np.uint8))
-    monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 50_000)
+    monkeypatch.setattr("tracker.video.source.MAX_PIXELS", 50_000)
     with pytest.raises(UnreadableVideoError, match="over the limit"):
         TiffSource(stack)
 

@@ -1,29 +1,49 @@
-"""Calibration of one marker: learn its template, fit the ideal one, and choose the one that fits the pixels better."""
+"""Calibration of one marker: learn its template, fit the ideal one, and choose the one that fits the pixels better.
+
+Camera noise estimated again from the residuals of markers that their ideal template explains.
+
+Calibration of all markers of a recording, with the exposure time given or estimated from their motion blur.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, IdealFit
 from tracker.register import kernel
-from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
-from tracker.register.marker import MarkerModel, contrast_state, register
-from tracker.register.moving_object import without_background
+from tracker.register.calibration_frames import (
+    CalibrationFrames,
+    core_of,
+    normalised,
+    notes_on_patches,
+    registered,
+    with_motion_sd,
+    without_background,
+)
+from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_exposure, largest_motion_px
+from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.register.refined_warp import with_refined_warp
 from tracker.template import (
+    LEAST_IN_BIN,
     LONGEST_PX,
-    OVERSAMPLING,
+    PRINTED_OVERSAMPLING,
     SMALLEST_PX,
+    Blurrer,
+    NoiseModel,
     Template,
+    estimate_noise,
+    fit_line,
     grid_px,
     learn_template,
+    modelled_pixels,
     path_length_px,
     paths_px,
     residual_map,
+    sd_factors,
     seen_from_marker,
     sharp_states,
     trimmed_support,
@@ -78,7 +98,7 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
     detection, images, share = guess.detection, frames.images, frames.exposure_share
     beyond = _beyond_px(guess.states, share)
     support, known = _first_support(guess, beyond)
-    core = core_of(detection, Template(np.zeros(support.shape), support, OVERSAMPLING))
+    core = core_of(detection, Template(np.zeros(support.shape), support, PRINTED_OVERSAMPLING))
     current, learned, has_outline = guess, None, detection.kind.has_outline
     chi2 = 1.0 if has_outline else guess.chi2
     blurred: Template | None = None
@@ -98,7 +118,7 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
         at_rest = _at_rest(blurred, states, sharp, current.warp, share)
         current = replace(
             current,
-            template=Template(at_rest.coefs, support, OVERSAMPLING),
+            template=Template(at_rest.coefs, support, PRINTED_OVERSAMPLING),
             source="learned",
             known=known if beyond else None,
         )
@@ -125,7 +145,7 @@ def _first_support(guess: MarkerModel, beyond_px: float) -> tuple[NDArray[np.uin
     centre = (np.array(old.support.shape) - 1) / 2
     half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
     half_u = float(np.abs(cols - centre[1]).max()) / old.oversampling
-    u, v = grid_px(half_u + beyond_px, half_v + beyond_px, OVERSAMPLING)
+    u, v = grid_px(half_u + beyond_px, half_v + beyond_px, PRINTED_OVERSAMPLING)
 
     def within(more_px: float) -> NDArray[np.uint8]:
         inside = detection.kind.covers(u[None, :], v[:, None], half_u + more_px, half_v + more_px)
@@ -231,3 +251,170 @@ def _angle_is_determined(frames: CalibrationFrames, model: MarkerModel, learned:
     ]
     fixed, free = (np.hypot(fit[kernel.SD_X], fit[kernel.SD_Y]) for fit in fits)
     return bool(free <= 1.3 * fixed)
+
+
+BINS = 12
+FRAMES = 24
+# Range of chi-square under the first noise model within which a marker's template can be correct.
+PLAUSIBLE_CHI2 = (0.2, 1.6)
+
+
+def refined_noise(
+    frames: list[GrayImage], models: tuple[MarkerModel, ...], first: NoiseModel, exposure_share: float = 0.0
+) -> NoiseModel:
+    """Noise model from the residuals of markers whose parametric template fits.
+
+    Small markers contain no smooth areas, so their brightness can be missing in an estimate from differences of
+    frames; the residuals include it. The first model is returned where no marker fits well enough for its residuals to
+    be noise.
+    """
+    low_chi2, high_chi2 = PLAUSIBLE_CHI2
+    good = [m for m in models if m.source == "parametric" and low_chi2 < m.chi2 < high_chi2]
+    if not good:
+        return first
+    gain = np.nanmedian([np.nanmedian(m.states[:, 3]) for m in good])
+    offset = np.nanmedian([np.nanmedian(m.states[:, 4]) for m in good])
+    low, high = sorted((float(offset), float(offset + gain)))
+    width = max((high - low) / BINS, 1e-9)
+    sums = np.zeros((3, BINS))
+    fits = 0
+    for model in good:
+        seen = np.flatnonzero(np.all(np.isfinite(sharp_states(model.states, exposure_share)), axis=1))
+        paths = paths_px(model.states, exposure_share)
+        blurrer = Blurrer(model.template, model.known)
+        for k in seen[:: max(1, seen.size // FRAMES)]:
+            state = model.states[k]
+            template = blurrer.get(seen_from_marker(paths[k], model.warp, state[2]))
+            at, pixel, level = modelled_pixels(
+                frames[k], state, model.warp, template.coefs, template.oversampling
+            )
+            inside = template.support[at] > 0
+            pixel, level = pixel[inside], level[inside]
+            index = np.clip(((level - low) / width).astype(np.int64), 0, BINS - 1)
+            for total, amount in zip(sums, (np.ones(level.size), level, (pixel - level) ** 2), strict=True):
+                np.add.at(total, index, amount)
+            fits += 1
+    used = sums[0] >= LEAST_IN_BIN
+    if not used.any():
+        return first
+    # Each fit determined x, y, angle, gain and offset from its pixels.
+    pixels = float(sums[0].sum())
+    correction = pixels / max(pixels - 5.0 * fits, 0.5 * pixels)
+    count, level, square = sums[:, used]
+    return fit_line(level / count, correction * square / count, count)
+
+
+# Share of the exposure assumed while learning the templates from which it is then estimated.
+FIRST_GUESS = 0.5
+# Once with the guess, once more with templates learned with the first estimate.
+ESTIMATES = 2
+# Markers from which it is estimated, the fastest ones: more hardly improve it and cost time.
+EXPOSURE_MARKERS = 8
+EXPOSURE_UNKNOWN = (
+    "Markers move by more than a px between frames, and the exposure time is neither given as exposure_s nor evident "
+    "from their motion blur: set exposure_s, or positions may be affected by the blur."
+)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of the calibration on the first frames.
+
+    ``exposure_share`` is the exposure time over the time between frames, 0 where unknown. ``sd_factors``, shape (2, m),
+    are factors on the sd of x and y from the spatial correlation of compression errors; 1 for lossless footage.
+    """
+
+    models: tuple[MarkerModel, ...]
+    camera: Camera
+    exposure_share: float
+    sd_factors: FloatArray
+    notes: tuple[str, ...]
+
+
+def calibrate_all(
+    images: list[GrayImage],
+    detections: tuple[Detection, ...],
+    camera: Camera,
+    *,
+    exposure_share: float | None,
+    lossy: bool,
+) -> Calibration:
+    """Calibrate all markers on consecutive first frames of a recording.
+
+    Without an `exposure_share` it is estimated from the motion blur, where markers move far enough. Residuals of
+    `lossy` footage hold compression errors besides the camera's noise.
+    """
+    frames = CalibrationFrames(images, camera, exposure_share or 0.0)
+    models, notes = _calibrate_each(frames, detections)
+    if exposure_share is None and largest_motion_px(models) >= LEAST_MOTION_PX:
+        frames, models, notes = _with_estimated_exposure(frames, detections, models, notes)
+    share = frames.exposure_share
+    models = tuple(m if m.detection.kind.has_outline else with_motion_sd(frames, m) for m in models)
+    factors = np.ones((2, len(models)))
+    if lossy:
+        pairs = [sd_factors(images, m.states, m.template, m.warp) for m in models]
+        factors = np.array(pairs).reshape(-1, 2).T
+    else:
+        camera = replace(camera, noise=refined_noise(images, models, camera.noise, share))
+    return Calibration(models, camera, share, factors, (*notes, *notes_on_patches(models)))
+
+
+def initial_camera(images: list[GrayImage], *, bit_depth: int, white_level: int) -> Camera:
+    """Noise from the images; saturation from their bit depth, or from the largest value where many pixels have it."""
+    brightest = max(int(image.max()) for image in images[:4])
+    saturation = float(white_level)
+    if bit_depth > 8:
+        # A 12-bit camera in a 16-bit file saturates at its own white: many pixels at the one largest value.
+        share = max(float(np.mean(image == brightest)) for image in images[:4])
+        if share > 1e-3:
+            saturation = float(brightest)
+    return Camera(estimate_noise(images, white_level=saturation), saturation)
+
+
+def _calibrate_each(
+    frames: CalibrationFrames, detections: tuple[Detection, ...]
+) -> tuple[tuple[MarkerModel, ...], tuple[str, ...]]:
+    models = {detection.name: calibrate(frames, detection) for detection in detections}
+    missed = [name for name, model in models.items() if model is None]
+    notes: tuple[str, ...] = ()
+    if missed:
+        notes = (f"{', '.join(missed)} was detected but could not be registered, and is left out.",)
+    return tuple(model for model in models.values() if model is not None), notes
+
+
+def _with_estimated_exposure(
+    sharp: CalibrationFrames,
+    detections: tuple[Detection, ...],
+    models: tuple[MarkerModel, ...],
+    notes: tuple[str, ...],
+) -> tuple[CalibrationFrames, tuple[MarkerModel, ...], tuple[str, ...]]:
+    """Calibration with the exposure estimated from motion blur; the one without blur where it is not evident."""
+    estimate = ExposureShare(FIRST_GUESS, 0.0)
+    fastest = sorted(models, key=lambda model: -largest_motion_px((model,)))[:EXPOSURE_MARKERS]
+    names = {model.detection.name for model in fastest}
+    chosen = tuple(detection for detection in detections if detection.name in names)
+    for _ in range(ESTIMATES):
+        frames = replace(sharp, exposure_share=estimate.share)
+        blurred, _ = _calibrate_each(frames, chosen)
+        found = estimate_exposure(frames, blurred)
+        if found is None:
+            return sharp, models, (*notes, EXPOSURE_UNKNOWN)
+        if not found.is_significant(largest_motion_px(blurred)):
+            return sharp, models, notes
+        if estimate.sd > 0.0 and not _blur_fits_better(blurred, models):
+            return sharp, models, (*notes, EXPOSURE_UNKNOWN)
+        estimate = found
+    frames = replace(sharp, exposure_share=estimate.share)
+    blurred, blurred_notes = _calibrate_each(frames, detections)
+    note = (
+        f"exposure_s was not given: the motion blur of the markers gives {estimate.share:.3f} +- {estimate.sd:.3f} of "
+        "the time between frames, which is used; set exposure_s if you know it."
+    )
+    return frames, blurred, (*blurred_notes, note)
+
+
+def _blur_fits_better(blurred: tuple[MarkerModel, ...], sharp: tuple[MarkerModel, ...]) -> bool:
+    """Whether blur explains the pixels of patches better: a template of unknown shape fits nearly as well with any."""
+    without = {model.detection.name: model.chi2 for model in sharp}
+    ratios = [m.chi2 / without[m.detection.name] for m in blurred if not m.detection.kind.has_outline]
+    return not ratios or float(np.median(ratios)) < 1.0

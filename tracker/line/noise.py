@@ -1,15 +1,68 @@
-"""Standard deviation of the stations of a line in lossily compressed footage."""
+"""Stations whose small motion a predictive codec leaves out: their pixels repeat from frame to frame.
+
+Standard deviation of the stations of a line in lossily compressed footage.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
+from tracker import flags
 from tracker.arrays import FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.follower import Fit, LineFollower
 from tracker.line.model import LineModel
 from tracker.line.profile import spline_values
+from tracker.results import MarkerTracks
 from tracker.template import FRAMES, LARGEST_FACTOR, LARGEST_LAG_PX, autocovariance
+
+# A step below this share of the stated sd is a repetition: white noise has such steps in 3 % of the frames.
+SMALL_STEP = 0.05
+# From this share of repetitions on the codec decides when a station moves. Prongs of filmed forks: 0.02 to 0.1 where
+# frequency and amplitude agree with those of the weights, 0.2 to 0.9 where the amplitude doubles and halves at random.
+LARGEST_SHARE = 0.15
+# Motion of a larger rms, in sd, is followed in spite of repetitions, which are then its turning points.
+LEAST_MOTION_SD = 4.0
+# What changes more slowly than over this share of the record is drift.
+DRIFT_SHARE = 0.125
+LEAST_FRAMES = 12
+REASON = (
+    "the codec repeats the pixels there from frame to frame while the motion is within about "
+    f"{LEAST_MOTION_SD:.0f} standard deviations of a position, so that it shows when the codec acted rather than the "
+    "motion; record with less compression"
+)
+
+
+def hidden_motion(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
+    """Stations of a line that hardly move and are repeated by the codec, each with the reason to leave it out.
+
+    Their noise between frames is far below their error, and the amplitude that is left of a vibration jumps.
+    """
+    if tracks.kind != "line" or not tracks.decode.predictive:
+        return ()
+    # Frames repeated as a whole say nothing about a station.
+    found = np.isfinite(tracks.x_px) & ((tracks.flags & flags.LEFT_OUT) == 0)
+    stations = np.flatnonzero(np.count_nonzero(found, axis=0) >= LEAST_FRAMES)
+    if not stations.size:
+        return ()
+    sd = np.hypot(tracks.sd_x_px, tracks.sd_y_px)
+    own = np.array([np.median(sd[found[:, k], k]) for k in stations])
+    # A station repeated throughout may state less than the others: it never differs from its profile.
+    typical = np.maximum(own, np.median(own))
+    hidden = []
+    for k, least in zip(stations.tolist(), typical, strict=True):
+        xy = np.stack([tracks.x_px[found[:, k], k], tracks.y_px[found[:, k], k]])
+        repeated = np.mean(np.hypot(*np.diff(xy, axis=1)) < SMALL_STEP * least)
+        if repeated > LARGEST_SHARE and _motion_px(xy) < LEAST_MOTION_SD * least:
+            hidden.append((tracks.markers[k], REASON))
+    return tuple(hidden)
+
+
+def _motion_px(xy: FloatArray) -> float:
+    """Rms of the motion, (2, n), about its drift."""
+    width = max(int(DRIFT_SHARE * xy.shape[1]), 3)
+    return float(np.sqrt(np.sum(np.mean((xy - uniform_filter1d(xy, width, axis=1)) ** 2, axis=1))))
 
 
 def line_sd_factor(images: list[GrayImage], model: LineModel) -> float:

@@ -1,5 +1,0 @@
-"""Headers that cameras write beside or into their recordings."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
