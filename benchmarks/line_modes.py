@@ -18,7 +18,7 @@ import pandas as pd
 
 from benchmarks.line_scenes import CODECS, Array, LineScene, mode_shape
 from modal_id import IdentifiedMode, IdentifySettings, identify
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
 from sim.render import write_video
 from tracker import FailedTracking, MarkerTracks, TrackerSettings, displacement_series, track
 

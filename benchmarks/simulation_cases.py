@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim import MEASURED_DAMPING_RATIO, paper_beam
 from sim.beam import AncfBeam, BeamModes, beam_modes
 from sim.damping import GenericDamping
 from sim.dynamics import HarmonicThenStop, State, released_state, steady_response
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
 from tracker import FloatArray
 
 # Eq. 6 without residual damping; Exudyn uses the same matrix

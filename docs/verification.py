@@ -24,6 +24,7 @@ from docs.reference_solutions import (  # noqa: E402
     rayleigh_ritz_hz,
     small_decay,
 )
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
 from sim.beam import (  # noqa: E402
     AncfBeam,
     beam_modes,
@@ -36,7 +37,6 @@ from sim.dynamics import (  # noqa: E402
     released_state,
     simulate,
 )
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
 
 PAGE = Path(__file__).with_name("verification.md")
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0

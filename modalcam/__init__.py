@@ -61,13 +61,13 @@ _SOURCES = {
     "modes": ("sim.beam.beam", "natural_modes"),
     "GenericDamping": ("sim.damping.models", "GenericDamping"),
     "RayleighDamping": ("sim.damping.models", "RayleighDamping"),
-    "simulate": ("sim.dynamics.free_decay", "simulate_free_decay"),
+    "simulate": ("sim.dynamics.excitation", "simulate_free_decay"),
     "run": ("modalcam.api", "run"),
     "load_run": ("modalcam.pipeline.saved", "load_run"),
     "plan": ("modalcam.planning.plan", "plan"),
     "TrackingError": ("modalcam.errors", "TrackingError"),
     "IdentificationError": ("modalcam.errors", "IdentificationError"),
-    "SimulationError": ("sim.dynamics.free_decay", "SimulationError"),
+    "SimulationError": ("sim.dynamics.excitation", "SimulationError"),
 }
 
 

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from sim import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import GenericDamping
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from sim.render import (
     ArucoMarker,
     DotMarker,

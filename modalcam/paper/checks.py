@@ -13,7 +13,7 @@ from modalcam.paper import decays, table2
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed
 from modalcam.paper.text import FILTERS
 from modalcam.report.style import environment
-from sim.reference import paper_tables as printed
+from sim import reference as printed
 
 
 class Check(NamedTuple):

@@ -11,8 +11,8 @@ from modal_id import Identification, IdentifiedMode
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline import RecordingResult, RunResult
 from modalcam.report.derived import drawn_decays, nrmse_of_fit
+from sim import reference as printed
 from sim.comparison import DecayComparison, ModelDecay
-from sim.reference import paper_tables as printed
 
 PANELS = ("Fig. 2, left", "Fig. 2, right", "Fig. 3, left", "Fig. 3, right", "Fig. 4")
 # A model whose damping is off by less predicts it.

@@ -36,8 +36,8 @@ from modalcam.report.style import (
     log_y,
     new_figure,
 )
+from sim import reference as printed
 from sim.damping import DAMPING_MODELS
-from sim.reference import paper_tables as printed
 from sim.updating import PaperUpdate
 from tracker import FloatArray
 

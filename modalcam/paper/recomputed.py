@@ -9,9 +9,9 @@ import numpy as np
 
 from modalcam.execution import TaskFailure, worker_pool
 from modalcam.storage import code_state, load, save, stage_key
+from sim import reference as printed
 from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import RayleighDamping
-from sim.reference import paper_tables as printed
 from sim.updating import (
     FailedUpdating,
     MeasuredModes,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim import reference as printed
 from sim.beam import BeamProperties
-from sim.reference import paper_tables as printed
 
 TRUTH_NAME = "truth.json"
 

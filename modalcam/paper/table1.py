@@ -9,8 +9,8 @@ import numpy as np
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline import BeamResult
 from modalcam.report.style import MISSING, percent
+from sim import reference as printed
 from sim.beam import BeamProperties
-from sim.reference import paper_tables as printed
 from sim.updating import BayesianUpdate, PaperUpdate
 from tracker import FloatArray
 

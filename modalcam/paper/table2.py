@@ -8,7 +8,7 @@ import numpy as np
 
 from modal_id import IdentifiedMode
 from modalcam.paper.simulated_truth import Truth
-from sim.reference import paper_tables as printed
+from sim import reference as printed
 from tracker import FloatArray
 
 _NAN = float("nan")

@@ -8,7 +8,7 @@ import numpy as np
 
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, MODES, Recomputed
 from modalcam.pipeline import BeamResult
-from sim.reference import paper_tables as printed
+from sim import reference as printed
 from sim.updating import Updating
 from tracker import FloatArray
 

@@ -12,8 +12,8 @@ from modalcam.config import BeamConfig, ExperimentConfig, PlanConfig, RecordingC
 from modalcam.errors import ConfigError
 from modalcam.names import shown
 from modalcam.video import rendered_markers
+from sim import MEASURED_DAMPING_RATIO
 from sim.beam import BeamProperties
-from sim.reference import MEASURED_DAMPING_RATIO
 from sim.render import Camera, Marker
 
 # Tip amplitude in mode 1; over the mode number squared, it bends every mode about equally.

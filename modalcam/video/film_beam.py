@@ -22,11 +22,20 @@ from modalcam.errors import ConfigError, ModalcamError, OutputError
 from modalcam.execution import Progress
 from modalcam.storage import replacing, write_text
 from modalcam.video.rendered_markers import rendered_markers
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
 from sim.beam import BeamProperties
 from sim.damping import GenericDamping
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render import Optics, RecordingPlan, StagedRecording, Texture, stage_recording, write_video
-from sim.render.strip import BareStrip, Stripe, Surface
+from sim.render import (
+    BareStrip,
+    Optics,
+    RecordingPlan,
+    StagedRecording,
+    Stripe,
+    Surface,
+    Texture,
+    stage_recording,
+    write_video,
+)
 
 # High-speed cameras store this playback rate, whatever the recorded rate.
 PLAYBACK_FPS = Fraction(30)

@@ -14,11 +14,11 @@ from .banded import factor_symmetric as factor_symmetric
 from .banded import lower_columns as lower_columns
 from .banded import solve_symmetric as solve_symmetric
 from .beam import Beam as Beam
+from .beam import BeamModes as BeamModes
 from .beam import ancf_beam as ancf_beam
+from .beam import beam_modes as beam_modes
+from .beam import eigenmodes as eigenmodes
 from .beam import natural_modes as natural_modes
-from .modes import BeamModes as BeamModes
-from .modes import beam_modes as beam_modes
-from .modes import eigenmodes as eigenmodes
 from .properties import BeamProperties as BeamProperties
 from .properties import ElasticClamp as ElasticClamp
 from .properties import Orientation as Orientation

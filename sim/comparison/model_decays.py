@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id import FittedMode, Identification, IdentifiedMode
 from sim.comparison.bands import Simulated
-from sim.comparison.errors import envelope_and_phase_error
+from sim.comparison.matching import envelope_and_phase_error
 from sim.comparison.problem import DecaySetting
 from sim.comparison.results import ModelDecay
 from sim.comparison.scores import (

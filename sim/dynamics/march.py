@@ -11,8 +11,7 @@ import numpy as np
 from numba import njit
 
 from sim.beam import PAD, REORDER, add_product
-from sim.dynamics.axial import keep_strain
-from sim.dynamics.forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate
+from sim.dynamics.forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate, keep_strain
 from sim.dynamics.newton import (
     FACTORED_LEVEL,
     HALVINGS,

@@ -13,8 +13,19 @@ import numpy as np
 from numba import njit
 
 from sim.beam import COLUMN, PAD, REORDER, add_product, factor_symmetric, solve_symmetric
-from sim.dynamics.axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
-from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
+from sim.dynamics.forces import (
+    Air,
+    Axial,
+    Gradients,
+    Stretch,
+    axial_force,
+    axial_tangent,
+    drag_force,
+    empty_gradients,
+    empty_stretch,
+    interpolate,
+    predict,
+)
 from tracker import FloatArray, IntArray
 
 _ITERATIONS = 20

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.render.camera import Camera
+from sim.render.camera import Camera, Poses
 from sim.render.frames import render_ideal
 from sim.render.markers import ArucoMarker, Marker
-from sim.render.motion import Poses
 from sim.render.scene import Scene
 from tracker import FloatArray
 

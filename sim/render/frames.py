@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.render.camera import Camera
-from sim.render.kernels import add_marker, add_strip
+from sim.render.camera import Camera, Poses
+from sim.render.kernels import add_marker, add_strip, order_for, unit_rule
 from sim.render.markers import MarkerTable
-from sim.render.motion import Poses
-from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene, Strip
 from sim.render.strip import BareStrip, StripImage
 from tracker import FloatArray

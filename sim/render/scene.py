@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.render.markers import Marker
-from sim.render.motion import Motion
+from sim.render.camera import Motion
+from sim.render.markers import Marker, Texture
 from sim.render.strip import BareStrip
-from sim.render.texture import Texture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.beam import BeamProperties
-from sim.updating.beam_family import BeamFamily
+from sim.updating.family import BeamFamily
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.posterior import Misfits, draw, maximum
-from sim.updating.prior import SmoothPrior
+from sim.updating.posterior import Misfits, SmoothPrior, draw, maximum
 from tracker import FloatArray
 
 DEFAULT_DRAWS = 400

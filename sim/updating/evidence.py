@@ -18,11 +18,9 @@ from scipy.special import logsumexp
 
 from sim.beam import BeamProperties
 from sim.updating.bayesian import whiten
-from sim.updating.least_squares import Misfit
+from sim.updating.least_squares import Misfit, uniform_basis
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.posterior import draw, maximum
-from sim.updating.prior import SmoothPrior
-from sim.updating.uniform_beam import uniform_basis
+from sim.updating.posterior import SmoothPrior, draw, maximum
 from tracker import FloatArray
 
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))

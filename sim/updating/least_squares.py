@@ -2,11 +2,15 @@
 
 The factors are those of the paper: of the width and thickness of each element, of density and modulus, between 1 -
 bound and 1 + bound. Of the many solutions the one nearest to the start is chosen: undetermined factors do not change.
+
+The paper's updating method: 42 variables within 10 %, no gravity, least squares from the standard beam.
+
+Uniform change of the properties along the beam, and the combinations of properties that the data determine.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,9 +18,9 @@ import scipy  # its parts are loaded when they are used
 from scipy.linalg import solve_triangular
 
 from sim.beam import BeamProperties
-from sim.updating.beam_family import BeamFamily
+from sim.updating.family import BeamFamily
 from sim.updating.measured_modes import MeasuredModes
-from tracker import FloatArray
+from tracker import FloatArray, IntArray
 
 # weight of the distance from the start, in bounds, relative to misfits in standard deviations: it determines only what
 # the data do not, and shifts the frequencies by less than 1e-7
@@ -211,3 +215,198 @@ def _bounded_program(
         bounds=[(-reach, reach)] * size + [(0.0, _LARGEST_BOUND)] + [(0.0, None)] * (2 * m),
     )
     return np.asarray(solved.x[:size]) if solved.success else None
+
+
+_AT_BOUND = 1e-6
+# further starting points, which show how far the solution depends on the start
+_OTHER_STARTS = 4
+
+
+@dataclass(frozen=True)
+class PaperUpdate:
+    """Beam without gravity that fits the measured frequencies and shapes by least squares within a bound.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        Without gravity (``orientation = "none"``).
+    standard_hz, updated_hz : array, shape (m,)
+        Without gravity, before and after.
+    width_factor, thickness_factor : array, shape (ne,)
+    at_bound : tuple of str
+        Names of the variables at their bound.
+    smallest_bound : float
+        Bound below which the frequencies cannot be reached; NaN if none is found.
+    start_spread : array, shape (v,)
+        Standard deviation of each factor (widths, thicknesses, density, modulus) over solutions from random starts
+        within the bound, which fit equally well.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
+    """
+
+    properties: BeamProperties
+    mode_numbers: IntArray
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    width_factor: FloatArray
+    thickness_factor: FloatArray
+    density_factor: float
+    elastic_modulus_factor: float
+    bound: float
+    at_bound: tuple[str, ...]
+    smallest_bound: float
+    start_spread: FloatArray
+    shape_rms: float = float("nan")
+
+
+def update_like_paper(
+    properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10, seed: int = 0
+) -> PaperUpdate:
+    """Fit widths, thicknesses, density and modulus within `bound` to the measured modes, without gravity.
+
+    Minimises the sum of squared deviations of frequencies and shapes over their standard deviations. The problem has
+    infinitely many solutions; the one nearest to the standard beam is returned. Point masses are kept; `seed` is that
+    of the random starts.
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    """
+    check_bound(bound)
+    standard = replace(properties, orientation="none", angle_deg=None)
+    misfit = Misfit.of(standard, measured)
+    ne, one = standard.elements, np.ones(misfit.family.variables)
+    p = fit_within(misfit, one, bound)
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(1.0 - bound, 1.0 + bound, (_OTHER_STARTS, one.size))
+    others = np.array([fit_within(misfit, start, bound) for start in starts])
+    return PaperUpdate(
+        properties=misfit.family.properties(np.log(p)),
+        mode_numbers=measured.mode_numbers,
+        standard_hz=misfit.frequency_hz(one),
+        updated_hz=misfit.frequency_hz(p),
+        width_factor=p[:ne].copy(),
+        thickness_factor=p[ne : 2 * ne].copy(),
+        density_factor=float(p[-2]),
+        elastic_modulus_factor=float(p[-1]),
+        bound=bound,
+        at_bound=_names_at_bound(p, bound),
+        smallest_bound=smallest_bound(misfit)[0],
+        start_spread=np.std(others, axis=0, ddof=1),
+        shape_rms=misfit.shape_rms(p),
+    )
+
+
+def check_bound(bound: float) -> None:
+    """Raise ValueError for a bound that is not between 0 and 0.5."""
+    if not 0.0 < bound <= 0.5:
+        msg = f"bound must lie between 0 and 0.5, got {bound}"
+        raise ValueError(msg)
+
+
+def variable_names(elements: int) -> tuple[str, ...]:
+    """Names of the variables in order: widths and thicknesses from the clamp on, density, modulus."""
+    fields = [f"{name} of element {e + 1}" for name in ("width", "thickness") for e in range(elements)]
+    return (*fields, "density", "elastic modulus")
+
+
+def _names_at_bound(p: FloatArray, bound: float) -> tuple[str, ...]:
+    at = np.abs(np.abs(p - 1.0) - bound) < _AT_BOUND
+    names = variable_names((p.size - 2) // 2)
+    return tuple(f"{names[i]} ({100 * (p[i] - 1.0):+.0f} %)" for i in np.flatnonzero(at))
+
+
+# a combination is determined if its standard deviation is below this share of the bound
+_KNOWN_SHARE = 0.5
+# a uniform beam misfits by some per cent, so all modes have equal weight whatever their measured precision
+_DISCREPANCY = 0.03
+
+
+@dataclass(frozen=True)
+class UniformUpdate:
+    """Uniform change of the properties with the least misfit, with gravity and equal weight of all modes.
+
+    Frequencies and shapes of a uniform beam without point masses depend on E h^2 / rho only (and on length and
+    gravity): they do not determine the width, nor E, h and rho separately.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        With a changed thickness only.
+    standard_hz, updated_hz : array, shape (m,)
+    thickness_factor, stiffness_factor : float
+        Factor on the thickness; its square, the factor on E h^2 / rho.
+    combinations : array, shape (4, 4)
+        Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data
+        distinguish, the best determined first.
+    combination_sd : array, shape (4,)
+        Standard deviation of the logarithm of each; infinite where undetermined.
+    known : int
+        Number of combinations with a standard deviation below half the bound.
+    largest_error : float
+        Largest remaining relative deviation of a frequency.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
+    """
+
+    properties: BeamProperties
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    thickness_factor: float
+    stiffness_factor: float
+    combinations: FloatArray
+    combination_sd: FloatArray
+    known: int
+    largest_error: float
+    shape_rms: float
+
+
+def update_uniform(
+    properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10
+) -> UniformUpdate:
+    """Best uniform change of the beam under gravity, of at most `bound`, and the combinations that the data determine.
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    BuckledBeamError
+        If a standing beam cannot carry its own weight.
+    """
+    check_bound(bound)
+    misfit = Misfit.of(properties, measured)
+    spread = uniform_basis(properties.elements)
+    one = np.ones(misfit.family.variables)
+    with_discrepancy = Misfit.of(properties, replace(measured, model_sd=max(_DISCREPANCY, measured.model_sd)))
+    p = fit_within(with_discrepancy, one, bound, spread[:, [1]])
+    _, slopes = misfit.at(np.log(p), slopes=True)
+    rows = slopes[0] @ spread
+    _, values, combinations = np.linalg.svd(rows, full_matrices=True)
+    singular = np.zeros(4)
+    singular[: values.size] = np.where(values > 1e-9 * values[0], values, 0.0)
+    with np.errstate(divide="ignore"):
+        sd = 1.0 / singular
+    signs = np.sign(combinations[np.arange(4), np.argmax(np.abs(combinations), axis=1)])
+    factor = float(p[properties.elements])
+    updated_hz = misfit.frequency_hz(p)
+    return UniformUpdate(
+        properties=misfit.family.properties(np.log(p)),
+        standard_hz=misfit.frequency_hz(one),
+        updated_hz=updated_hz,
+        thickness_factor=factor,
+        stiffness_factor=factor**2,
+        combinations=combinations * signs[:, np.newaxis],
+        combination_sd=sd,
+        known=int(np.count_nonzero(sd < _KNOWN_SHARE * bound)),
+        largest_error=float(np.max(np.abs(updated_hz / measured.frequency_hz - 1.0))),
+        shape_rms=misfit.shape_rms(p),
+    )
+
+
+def uniform_basis(elements: int) -> FloatArray:
+    """Matrix from (width, thickness, density, modulus) to all variables, shape (2 ne + 2, 4)."""
+    out = np.zeros((2 * elements + 2, 4))
+    out[:elements, 0] = out[elements : 2 * elements, 1] = 1.0
+    out[-2, 2] = out[-1, 3] = 1.0
+    return out

@@ -12,10 +12,9 @@ import numpy as np
 from sim.beam import BeamProperties, BuckledBeamError, NoEquilibriumError
 from sim.updating.bayesian import DEFAULT_DRAWS, BayesianUpdate, UndecidedError, update_bayesian
 from sim.updating.evidence import ModelComparison, compare_models
+from sim.updating.least_squares import PaperUpdate, UniformUpdate, update_like_paper, update_uniform
 from sim.updating.measured_modes import MODEL_SD, MeasuredModes
-from sim.updating.paper_method import PaperUpdate, update_like_paper
-from sim.updating.prior import SmoothPrior
-from sim.updating.uniform_beam import UniformUpdate, update_uniform
+from sim.updating.posterior import SmoothPrior
 from tracker import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ import pytest
 
 from docs.reference_solutions import small_decay
 from modal_id import IdentifySettings, SamplerSettings, identify
+from sim import MEASURED_DAMPING_RATIO, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
 from tracker import DisplacementSeries
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from support.exact_curvature import ExactCurvatureBeam
 from support.paths import REALDATA, REALDATA_ABSENT, ROOT
 
+from sim import paper_beam
 from sim.beam import (
     AncfBeam,
     BeamProperties,
@@ -21,7 +22,6 @@ from sim.beam import (
 )
 from sim.damping import GenericDamping, NoDamping, StillAir, WithAirDrag
 from sim.dynamics import BaseMotion, State, released_state, simulate
-from sim.reference import paper_beam
 
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 TIP = np.array([L])

@@ -6,9 +6,9 @@ import numpy as np
 from support.sampling import QUICK
 
 from modal_id import IdentifySettings, identify
+from sim import MEASURED_DAMPING_RATIO, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, StillAir, WithAirDrag
-from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
 from sim.render import DotMarker, Optics, RecordingPlan, stage_recording, write_video
 from tracker import TrackerSettings, displacement_series, track
 

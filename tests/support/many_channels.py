@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from sim.render.strip import cantilever_slope
+from sim.render import cantilever_slope
 from tracker import DisplacementSeries
 
 LENGTH_MM = 500.0

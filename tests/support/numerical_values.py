@@ -16,10 +16,10 @@ from modal_id import identify
 from modal_id.data import prepare
 from modal_id.fit import find_modes
 from modal_id.solve import damping_ratio, frequency_hz
+from sim import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
 from sim.dynamics import released_state, simulate
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from tracker import TrackerSettings, track
 
 ALONG_M = np.linspace(0.05, 0.5, 10)

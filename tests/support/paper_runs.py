@@ -6,7 +6,7 @@ from support import report_runs as runs
 
 from modalcam.paper import recompute
 from modalcam.pipeline import BeamResult
-from sim.reference import paper_beam
+from sim import paper_beam
 
 paper = cache(recompute)
 

@@ -17,6 +17,7 @@ from modal_id import (
     Posterior,
 )
 from modalcam.pipeline import BeamResult, RecordingResult, RunResult
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import (
     DecayComparison,
@@ -28,7 +29,6 @@ from sim.comparison import (
     score_difference,
     score_sum,
 )
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.updating import MeasuredModes, UpdatingSettings, update
 from tracker import (
     BLURRED,

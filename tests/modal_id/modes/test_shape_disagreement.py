@@ -6,8 +6,8 @@ from support.modal_decays import pole_of, series_of
 from support.sampling import QUICK
 
 from modal_id import IdentifySettings, ModeFlag, identify
+from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
-from sim.reference import paper_beam
 from tracker import Severity
 
 MODES = beam_modes(AncfBeam(paper_beam()), 8)

@@ -11,7 +11,7 @@ from modalcam.config import ExperimentConfig
 from modalcam.export import COLUMNS, SHAPES, summary
 from modalcam.pipeline import BeamResult, RecordingResult
 from modalcam.storage import Workspace
-from sim.reference import paper_beam
+from sim import paper_beam
 
 POSITIONS_MM = 500.0 * (np.arange(40) + 0.5) / 40
 

@@ -12,7 +12,7 @@ from support.paper_runs import paper, run_of_table_2
 
 from modalcam.paper import TrueMode, Truth, checks, numbers, paper_html, paper_page, table2, variables
 from modalcam.report.derived import best_modes
-from sim.reference import paper_tables as printed
+from sim import reference as printed
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
 NOTHING = Truth({})

@@ -5,8 +5,8 @@ import pytest
 from support.paper_runs import paper
 
 from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
+from sim import reference as printed
 from sim.beam import AncfBeam, beam_modes
-from sim.reference import paper_tables as printed
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from modalcam.paper import beam_differences, read_truth
+from sim import paper_beam
 from sim.beam import PointMass
-from sim.reference import paper_beam
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"recordings": [{"mode": 1}]}', '{"recordings": 3}'])

@@ -13,9 +13,9 @@ from modalcam.config import ExperimentConfig
 from modalcam.pipeline import Context, compare_recordings
 from modalcam.storage import Workspace
 from modalcam.video import NoFootage
+from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import FailedComparison
-from sim.reference import paper_beam
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 

@@ -10,7 +10,7 @@ from modalcam.config import ExperimentConfig
 from modalcam.execution import Limits, WorkerPool, worker_pool
 from modalcam.pipeline import RUN, Context, InputFile, RecordingResult, RunResult, Stage, run_together
 from modalcam.storage import RunRecord, Workspace
-from sim.reference import paper_beam
+from sim import paper_beam
 from tracker import FailedTracking
 
 

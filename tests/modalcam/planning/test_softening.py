@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from modalcam.planning import frequency_per_amplitude_squared
+from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import NoDamping
 from sim.dynamics import released_state, simulate
-from sim.reference import paper_beam
 
 
 def test_a_mode_softens_with_the_square_of_its_amplitude():

@@ -13,7 +13,7 @@ from modalcam import plugins
 from modalcam.config import RecordingConfig
 from modalcam.errors import InputError
 from modalcam.storage import Cache, digest, load, save
-from sim.reference import paper_beam
+from sim import paper_beam
 from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
 from tracker import FailedTracking
 

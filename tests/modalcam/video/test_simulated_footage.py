@@ -24,9 +24,9 @@ from modalcam.video import (
     read_kept_frames,
     reduced,
 )
+from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.reference import paper_beam
 from tracker import DecodeReport, MarkerTracks, Scale, TimeAxis
 
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])

@@ -4,8 +4,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from sim import paper_beam
 from sim.beam import AncfBeam, Beam, beam_modes, natural_modes
-from sim.reference import paper_beam
 
 PAPER = {
     "length_mm": 500,

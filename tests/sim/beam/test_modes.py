@@ -7,6 +7,7 @@ from scipy.optimize import root
 from support.exact_modes import exact_frequencies_hz
 
 from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
+from sim import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam, tapered_beam
 from sim.beam import (
     AncfBeam,
     BuckledBeamError,
@@ -16,7 +17,6 @@ from sim.beam import (
     from_band,
     static_equilibrium,
 )
-from sim.reference import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam, tapered_beam
 
 
 def frequencies(properties, count=5, **options):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from docs.reference_solutions import elastica_tip
+from sim import paper_beam
 from sim.beam import (
     BAND,
     PAD,
@@ -15,7 +16,6 @@ from sim.beam import (
     solve_symmetric,
     static_equilibrium,
 )
-from sim.reference import paper_beam
 
 EI = 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 L = 0.5

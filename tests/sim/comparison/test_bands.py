@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support.sim_decays import identification
 
+from sim import MEASURED_DAMPING_RATIO, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import Candidate, match_modes, problem, simulate_candidates, start_draws
 from sim.damping import GenericDamping
-from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 DRAWS = 8

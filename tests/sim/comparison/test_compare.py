@@ -5,10 +5,10 @@ import pytest
 from support.sim_decays import exponent, identification
 
 from modal_id import FailedIdentification, FittedMode
+from sim import MEASURED_DAMPING_RATIO, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import Candidate, compare_decay
 from sim.damping import GenericDamping, RayleighDamping
-from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
 
 POSITIONS_MM = np.array([2.0, 90.0, 190.0, 290.0, 390.0, 490.0])
 TIME_S = np.arange(0.0, 1.6, 1.0 / 500.0)

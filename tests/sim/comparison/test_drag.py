@@ -8,10 +8,10 @@ from support.drag_film import DAMPING, identified_film
 from support.sim_decays import identification
 
 from modal_id import AmplitudeDependence, FailedIdentification
+from sim import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import AirDrag, Candidate, DragFit, DragLimit, averaged_damping_slope, compare_decay
 from sim.damping import GenericDamping
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 
 
 def skip_identification(series):

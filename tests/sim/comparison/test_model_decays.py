@@ -5,11 +5,11 @@ import pytest
 from support.modal_decays import coloured
 
 from modal_id import FailedIdentification, IdentifySettings, SamplerSettings, identify
+from sim import MEASURED_DAMPING_RATIO, sample_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import BAND_DRAWS, Candidate, compare_decay, draw_indices
 from sim.damping import GenericDamping, RayleighDamping
 from sim.dynamics import simulate, state_with_coordinates
-from sim.reference import MEASURED_DAMPING_RATIO, sample_beam
 from tracker import DisplacementSeries
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 
 OMEGA = 2.0 * np.pi * np.array(MEASURED_FREQUENCY_HZ)
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim import MEASURED_DAMPING_RATIO, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
 from sim.dynamics import released_state, simulate
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
 
 STORED = np.loadtxt(Path(__file__).parent / "exudyn_free_decay.csv", delimiter=",")
 AMPLITUDE_M = 0.2

@@ -10,6 +10,7 @@ from docs.reference_solutions import (
     log_energy_slope,
     small_decay,
 )
+from sim import MEASURED_DAMPING_RATIO, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
 from sim.dynamics import (
@@ -22,7 +23,6 @@ from sim.dynamics import (
     simulate,
     state_from_modes,
 )
-from sim.reference import MEASURED_DAMPING_RATIO, paper_beam
 
 TIP = np.array([0.5])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)

@@ -8,24 +8,22 @@ from scipy.interpolate import RectBivariateSpline
 from support.render_truth import box_gauss, still
 
 from sim.render import (
+    BareStrip,
+    BendingLine,
     Camera,
+    DecayingMode,
     DotMarker,
     Scene,
     Strip,
+    Stripe,
+    Surface,
     Texture,
+    cantilever_slope,
+    decaying_cantilever,
     render_frames,
     render_ideal,
     true_centres_px,
     true_line_px,
-)
-from sim.render.strip import (
-    BareStrip,
-    BendingLine,
-    DecayingMode,
-    Stripe,
-    Surface,
-    cantilever_slope,
-    decaying_cantilever,
 )
 
 # As of markers: 0.001 counts of 8 bit, half from the cells (2.4e-6 of the contrast an edge), half from the exposure.

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from support.paths import SAMPLES
 
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
 from sim.beam import AncfBeam, beam_modes
-from sim.reference import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
 from sim.render import write_video
 
 MAX_BYTES = 25_000_000

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eig
 
+from sim import paper_beam, sample_beam
 from sim.beam import AncfBeam, ElasticClamp, beam_modes
-from sim.reference import paper_beam, sample_beam
 from sim.updating import BeamFamily, BeamMatrices, MeasuredShape
 
 # one of each kind of variable, at the clamp, inside and at the tip

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from sim import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
 from sim.beam import AncfBeam, PointMass, beam_modes
-from sim.reference import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
 from sim.updating import (
     BeamFamily,
     MeasuredModes,

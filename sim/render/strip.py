@@ -1,7 +1,13 @@
-"""A bare beam seen edge-on: its centreline and its surface."""
+"""A bare beam seen edge-on: its centreline and its surface.
+
+The image of a bare strip in front of a still background.
+
+Motion of an inextensible beam given by the angle of its centreline: any rest shape, any rotation.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import ceil, sqrt
@@ -10,8 +16,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from sim.render.motion import Motion, Poses
-from sim.render.texture import Texture
+from sim.render.camera import Camera, Motion, Poses
+from sim.render.kernels import REACH, add_strip_points, panels
+from sim.render.markers import Texture
 from tracker import FloatArray
 
 # samples that cubic interpolation needs beyond the strip
@@ -184,3 +191,159 @@ def visible_parts(curve: CubicSpline, covers_mm: FloatArray, step_mm: float) -> 
     distance = np.hypot(middles[:, :1] - covers_mm[:, 0], middles[:, 1:] - covers_mm[:, 1])
     seen = np.all(distance > covers_mm[:, 2], axis=1)
     return [part for part, visible in zip(pairwise(edges), seen, strict=True) if visible]
+
+
+class StripImage:
+    """Draws a bare strip into frames of a camera.
+
+    ``I(p) = int int (b(s, t) - B(x)) P(p - x) |dx/d(s, t)| ds dt`` over the strip, with x its point at distance s along
+    and t across, b its brightness, B that of the background and P the point spread function averaged over a pixel, by
+    Gauss-Legendre points in s and t.
+    """
+
+    def __init__(self, strip: BareStrip, camera: Camera, backdrop: Texture | None) -> None:
+        self._strip, self._camera = strip, camera
+        scale, sigma = camera.mm_per_px, camera.lens_blur_px
+        self._surface, grid = strip.surface.table(float(strip.arc_mm[-1]), strip.width_mm)
+        # across in px, along in mm
+        self._surface_grid = (grid[0] / scale, grid[1] * scale, grid[2], grid[3])
+        self._backdrop, self._backdrop_grid = self._behind(backdrop)
+        half = 0.5 * strip.width_mm / scale
+        at, weights = panels(-half, half, strip.surface.narrowest(sigma * scale) / scale)
+        self._across = np.column_stack([at, weights])
+
+    def _behind(self, backdrop: Texture | None) -> tuple[FloatArray, tuple[float, float, float, float]]:
+        """Texture of the frame and of what blurs into it, and its grid in px."""
+        if backdrop is None:
+            return np.zeros((0, 0)), (0.0, 0.0, 0.0, 0.0)
+        camera = self._camera
+        step = backdrop.step_mm / camera.mm_per_px
+        before = 0.5 + REACH * camera.lens_blur_px + 3.0 * step
+        rows, columns = (
+            np.asarray(np.arange(ceil((side + 2.0 * before) / step) + 1) * step - before, dtype=np.float64)
+            for side in (camera.height_px, camera.width_px)
+        )
+        values = backdrop.on_grid(*camera.to_mm(columns, rows))
+        return values, (-before, 1.0 / step, -before, 1.0 / step)
+
+    def add(self, image: FloatArray, points: Poses, covers: FloatArray, share: float) -> None:
+        """Add `share` of the difference between strip and background to an image of the background.
+
+        Parameters
+        ----------
+        points : Poses
+            Of the strip's motion at one instant.
+        covers : array, shape (m, 3)
+            Circles x, y, radius in px that hide the strip.
+        """
+        camera, strip = self._camera, self._strip
+        scale, sigma = camera.mm_per_px, camera.lens_blur_px
+        curve = strip.curve(points)
+        covers_mm = np.column_stack([*camera.to_mm(covers[:, 0], covers[:, 1]), scale * covers[:, 2]])
+        for part in visible_parts(curve, covers_mm, scale):
+            arc, weights = panels(*part, sigma * scale)
+            at = strip.geometry(curve, arc)
+            x, y = camera.to_px(at[:, 0], at[:, 1])
+            length_px = share * weights * at[:, 5] / scale
+            add_strip_points(
+                image,
+                np.column_stack([x, y, at[:, 2], -at[:, 3], at[:, 4] * scale, arc, length_px]),
+                self._across,
+                self._surface,
+                self._surface_grid,
+                self._backdrop,
+                self._backdrop_grid,
+                float(camera.background),
+                sigma,
+            )
+
+
+# Gauss-Legendre points between two points of the line: exact to (h / wave length)^8
+_ORDER = 4
+# of a cantilever: cos(b) cosh(b) = -1
+_CANTILEVER_ROOTS = (1.8751040687, 4.6940911330, 7.8547574382, 10.9955407349, 14.1371683910)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BendingLine:
+    """A centreline that turns but does not stretch: ``(x, y)(s) = origin + int_0^s (cos a, sin a) ds``.
+
+    Attributes
+    ----------
+    arc_mm : array, shape (p,)
+        Distances of the points from the clamp along the line, increasing from 0.
+    angle : callable
+        ``angle(time_s, arc_mm)``, the direction a of the line at times (k,) and distances (q,), shape (k, q), in rad
+        counter-clockwise from the x axis; -pi/2 hangs down.
+    origin_mm : tuple of float
+        Place of the clamp.
+    """
+
+    arc_mm: FloatArray
+    angle: Callable[[FloatArray, FloatArray], FloatArray]
+    origin_mm: tuple[float, float] = (0.0, 0.0)
+
+    def __call__(self, time_s: FloatArray) -> Poses:
+        """Poses at `time_s`, (k,); the angles are the directions of the line."""
+        time = np.asarray(time_s, dtype=np.float64)
+        nodes, weights = np.polynomial.legendre.leggauss(_ORDER)
+        step = np.diff(self.arc_mm)
+        inside = (self.arc_mm[:-1] + 0.5 * step)[:, None] + 0.5 * step[:, None] * nodes
+        angle = self.angle(time, inside.ravel()).reshape(time.size, step.size, _ORDER)
+        x, y = (
+            np.concatenate(
+                [np.zeros((time.size, 1)), np.cumsum(0.5 * step * (part(angle) @ weights), axis=1)], axis=1
+            )
+            for part in (np.cos, np.sin)
+        )
+        return Poses(x + self.origin_mm[0], y + self.origin_mm[1], self.angle(time, self.arc_mm))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecayingMode:
+    """A mode of a cantilever in free decay from time 0, at rest in its largest displacement before.
+
+    The tip's displacement is ``amplitude exp(-zeta omega t) cos(omega_d t)`` for small rotation.
+    """
+
+    number: int
+    amplitude_mm: float
+    frequency_hz: float
+    damping_ratio: float
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Displacement of the tip, in mm."""
+        omega = 2.0 * np.pi * self.frequency_hz
+        t = np.maximum(time_s, 0.0)
+        damped = omega * np.sqrt(1.0 - self.damping_ratio**2)
+        return np.asarray(self.amplitude_mm * np.exp(-self.damping_ratio * omega * t) * np.cos(damped * t))
+
+
+def cantilever_slope(number: int, arc: FloatArray) -> FloatArray:
+    """Slope of a uniform cantilever's mode 1 to 5, of length 1 and displacement 1 at the tip, at `arc` in 0 to 1."""
+    root = _CANTILEVER_ROOTS[number - 1]
+    ratio = (np.sinh(root) - np.sin(root)) / (np.cosh(root) + np.cos(root))
+    z = root * np.asarray(arc)
+    shape_at_tip = np.cosh(root) - np.cos(root) - ratio * (np.sinh(root) - np.sin(root))
+    slope = np.sinh(z) + np.sin(z) - ratio * (np.cosh(z) - np.cos(z))
+    return np.asarray(root * slope / shape_at_tip)
+
+
+def decaying_cantilever(
+    length_mm: float,
+    modes: tuple[DecayingMode, ...],
+    *,
+    direction_rad: float = -0.5 * np.pi,
+    rest_curvature_per_mm: float = 0.0,
+    points: int = 101,
+) -> BendingLine:
+    """Free decay of a clamped strip in some modes, from any direction and constant curvature at rest."""
+
+    def angle(time_s: FloatArray, arc_mm: FloatArray) -> FloatArray:
+        turned = direction_rad + rest_curvature_per_mm * np.asarray(arc_mm)[None, :]
+        for mode in modes:
+            slope = cantilever_slope(mode.number, np.asarray(arc_mm) / length_mm) / length_mm
+            turned = turned + mode.at(time_s)[:, None] * slope
+        return np.broadcast_to(turned, (time_s.size, np.size(arc_mm)))
+
+    return BendingLine(arc_mm=np.linspace(0.0, length_mm, points), angle=angle)

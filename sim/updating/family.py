@@ -29,9 +29,8 @@ from functools import cached_property
 import numpy as np
 
 from sim.beam import BeamProperties, eigenmodes
-from sim.updating.matrices import BeamMatrices, BeamStates
+from sim.updating.matrices import BeamMatrices, BeamStates, changes
 from sim.updating.measured_modes import MeasuredShape
-from sim.updating.sensitivity import changes
 from tracker import FloatArray
 
 # beams whose matrices are held in memory at a time
