@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modalcam.errors import IdentificationError as IdentificationError
     from modalcam.errors import TrackingError as TrackingError
     from modalcam.pipeline import load_run as load_run
-    from modalcam.planning import plan as plan
+    from modalcam.planning import plan as plan  # type: ignore[no-redef]
     from sim.beam import Beam as Beam
     from sim.beam import natural_modes as modes
     from sim.damping import GenericDamping as GenericDamping
