@@ -30,7 +30,7 @@ from tracker.register.refined_warp import with_refined_warp
 from tracker.template import (
     LEAST_IN_BIN,
     LONGEST_PX,
-    PRINTED_OVERSAMPLING,
+    LEARNED_OVERSAMPLING,
     SMALLEST_PX,
     Blurrer,
     NoiseModel,
@@ -98,7 +98,7 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
     detection, images, share = guess.detection, frames.images, frames.exposure_share
     beyond = _beyond_px(guess.states, share)
     support, known = _first_support(guess, beyond)
-    core = core_of(detection, Template(np.zeros(support.shape), support, PRINTED_OVERSAMPLING))
+    core = core_of(detection, Template(np.zeros(support.shape), support, LEARNED_OVERSAMPLING))
     current, learned, has_outline = guess, None, detection.kind.has_outline
     chi2 = 1.0 if has_outline else guess.chi2
     blurred: Template | None = None
@@ -118,7 +118,7 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
         at_rest = _at_rest(blurred, states, sharp, current.warp, share)
         current = replace(
             current,
-            template=Template(at_rest.coefs, support, PRINTED_OVERSAMPLING),
+            template=Template(at_rest.coefs, support, LEARNED_OVERSAMPLING),
             source="learned",
             known=known if beyond else None,
         )
@@ -145,7 +145,7 @@ def _first_support(guess: MarkerModel, beyond_px: float) -> tuple[NDArray[np.uin
     centre = (np.array(old.support.shape) - 1) / 2
     half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
     half_u = float(np.abs(cols - centre[1]).max()) / old.oversampling
-    u, v = grid_px(half_u + beyond_px, half_v + beyond_px, PRINTED_OVERSAMPLING)
+    u, v = grid_px(half_u + beyond_px, half_v + beyond_px, LEARNED_OVERSAMPLING)
 
     def within(more_px: float) -> NDArray[np.uint8]:
         inside = detection.kind.covers(u[None, :], v[:, None], half_u + more_px, half_v + more_px)

@@ -33,6 +33,7 @@ from .spline import Template as Template
 from .spline import from_values as from_values
 from .spline import grid_px as grid_px
 from .spline import modelled_pixels as modelled_pixels
+from .template import LEARNED_OVERSAMPLING as LEARNED_OVERSAMPLING
 from .template import PRINTED_OVERSAMPLING as PRINTED_OVERSAMPLING
 from .template import aruco_template as aruco_template
 from .template import aruco_values as aruco_values
