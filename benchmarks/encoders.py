@@ -23,7 +23,7 @@ import pandas as pd
 from benchmarks.film_scenes import FPS, SIZES_PX, Film
 from benchmarks.films import run_film
 from modal_id.solve import pole
-from modalcam.storage import Cache
+from modalcam.pipeline import Cache
 from tracker import FailedTracking, FloatArray, MarkerTracks, displacement_series, track
 
 ENCODERS: dict[str, tuple[str, dict[str, str]]] = {

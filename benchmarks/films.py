@@ -21,7 +21,7 @@ from benchmarks.coverage_report import BEGIN, END
 from benchmarks.film_scenes import CODECS, FPS, SIZES_PX, Film
 from modal_id import IdentifySettings, identify
 from modal_id.posterior import modal_bound
-from modalcam.storage import Cache
+from modalcam.pipeline import Cache
 from tracker import FailedTracking, MarkerTracks, displacement_series, track
 
 LEVEL = 0.9

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from modalcam.api import identify as identify
     from modalcam.api import run as run
     from modalcam.api import track as track
-    from modalcam.errors import IdentificationError as IdentificationError
-    from modalcam.errors import TrackingError as TrackingError
+    from modalcam.apps.plan import plan as plan  # type: ignore[no-redef]
+    from modalcam.common import IdentificationError as IdentificationError
+    from modalcam.common import TrackingError as TrackingError
     from modalcam.pipeline import load_run as load_run
-    from modalcam.planning import plan as plan  # type: ignore[no-redef]
     from sim.beam import Beam as Beam
     from sim.beam import natural_modes as modes
     from sim.damping import GenericDamping as GenericDamping
@@ -63,10 +63,10 @@ _SOURCES = {
     "RayleighDamping": ("sim.damping.models", "RayleighDamping"),
     "simulate": ("sim.dynamics.excitation", "simulate_free_decay"),
     "run": ("modalcam.api", "run"),
-    "load_run": ("modalcam.pipeline.saved", "load_run"),
-    "plan": ("modalcam.planning.plan", "plan"),
-    "TrackingError": ("modalcam.errors", "TrackingError"),
-    "IdentificationError": ("modalcam.errors", "IdentificationError"),
+    "load_run": ("modalcam.pipeline.all_stages", "load_run"),
+    "plan": ("modalcam.apps.plan.plan", "plan"),
+    "TrackingError": ("modalcam.common", "TrackingError"),
+    "IdentificationError": ("modalcam.common", "IdentificationError"),
     "SimulationError": ("sim.dynamics.excitation", "SimulationError"),
 }
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.errors import IdentificationError, TrackingError
+from modalcam.common import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
     from modal_id import Identification
-    from modalcam.execution import Progress as RunProgress
+    from modalcam.pipeline import Progress as RunProgress
     from modalcam.pipeline import RunResult
     from sim.beam import BeamModes
     from tracker import DisplacementSeries, MarkerTracks
@@ -299,7 +299,7 @@ def run(
     plugins : sequence of str
         Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
     progress : object, optional
-        Listener with the methods of `modalcam.execution.pool.Progress`.
+        Listener with the methods of `modalcam.pipeline.pool.Progress`.
 
     Returns
     -------
@@ -320,7 +320,7 @@ def run(
     """
     from modalcam.commands import Options  # noqa: PLC0415
     from modalcam.commands import run as run_folder  # noqa: PLC0415
-    from modalcam.execution import Progress  # noqa: PLC0415
+    from modalcam.pipeline import Progress  # noqa: PLC0415
     from tracker import parse_fps  # noqa: PLC0415
 
     options = Options(

@@ -15,6 +15,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from modalcam.common import InputError, recording_names, shown
 from modalcam.config import (
     CONFIG_NAME,
     ExperimentConfig,
@@ -23,23 +24,30 @@ from modalcam.config import (
     parse_recording,
     raw_config,
 )
-from modalcam.errors import InputError
-from modalcam.execution import Limits, Progress, WorkerPool, cluster_pool, worker_pool
 from modalcam.inputs import Discovery, Selection, discover
-from modalcam.names import recording_names, shown
-from modalcam.pipeline import MEASURED, Context, RecordingResult, RunResult, load_recording, load_run
-from modalcam.plugins import OUR_PACKAGES, load_plugins
-from modalcam.storage import (
+from modalcam.pipeline import (
+    MEASURED,
     Cache,
+    Context,
+    Limits,
     Outputs,
+    Progress,
+    RecordingResult,
     RememberedHashes,
     RunRecord,
+    RunResult,
+    WorkerPool,
     Workspace,
+    cluster_pool,
     code_state,
     digest,
     file_sha256,
+    load_recording,
+    load_run,
     stage_key,
+    worker_pool,
 )
+from modalcam.plugins import OUR_PACKAGES, load_plugins
 
 if TYPE_CHECKING:
     from modalcam.pipeline import Measured
@@ -121,7 +129,6 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
-    from modalcam.export import write_tracks  # noqa: PLC0415 - heavy
     from modalcam.pipeline import (  # noqa: PLC0415
         compile_for,
         completed,
@@ -129,6 +136,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
         hashed,
         track_recordings,
     )
+    from modalcam.tables import write_tracks  # noqa: PLC0415 - heavy
     from tracker import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
@@ -391,17 +399,13 @@ def _write_files(
 
     Figures are drawn by the processes of `pool` where there is one, while this process writes the files without them.
     """
-    from modalcam.export import (  # noqa: PLC0415
-        Output,
-        outputs,
-        with_missing_formats,
-    )
+    from modalcam.pipeline import write_text  # noqa: PLC0415
     from modalcam.report import (  # noqa: PLC0415
         build_report,
         draw_figures,
     )
     from modalcam.report.style import compiled_templates  # noqa: PLC0415
-    from modalcam.storage import write_text  # noqa: PLC0415
+    from modalcam.tables import Output, outputs, with_missing_formats  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
     if options.force:

@@ -24,12 +24,9 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from modal_id import QUOTED, FittingRate, quoted_note
-from modalcam.errors import ExitCode
-from modalcam.execution import Progress
-from modalcam.names import for_terminal, natural_key, shown
-from modalcam.pipeline import RecordingResult
+from modalcam.common import ExitCode, for_terminal, natural_key, shown
+from modalcam.pipeline import Progress, RecordingResult, Workspace, write_text
 from modalcam.report.style import count, interval, with_sd
-from modalcam.storage import Workspace, write_text
 from tracker import Severity
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
 
-from modalcam.errors import InputError
+from modalcam.common import InputError
 
 GROUP = "modalcam.plugins"
 OUR_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")

@@ -29,7 +29,7 @@ LONGEST_FIRST = (
     "integration/test_sample_videos_run.py",
     "modalcam/test_commands.py",
     "modalcam/report/test_report_html.py",
-    "modalcam/studio/test_studio_browser.py",
+    "modalcam/apps/studio/test_studio_browser.py",
     "tracker/test_accuracy.py",
     "modalcam/report/test_report_browser.py",
     "tracker/test_real_footage.py",
@@ -37,7 +37,7 @@ LONGEST_FIRST = (
     "tracker/markers/test_detection.py",
     "modalcam/cli/test_cli.py",
     "integration/test_real_recordings.py",
-    "modalcam/execution/test_dask.py",
+    "modalcam/pipeline/test_dask.py",
 )
 
 
@@ -98,7 +98,7 @@ def in_process(monkeypatch):
     # imports NumPy, which the controller of the workers does not need
     from support.worker_tasks import InThisProcess
 
-    monkeypatch.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+    monkeypatch.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
 
 
 @pytest.fixture
@@ -135,13 +135,13 @@ def decay_run(shared_folder):
     from support.worker_tasks import InThisProcess
 
     from modalcam.commands import Options, run
-    from modalcam.execution import Progress
+    from modalcam.pipeline import Progress
 
     def fill(folder):
         (folder / "videos").mkdir()
         write_decay(folder / "videos")
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+            patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
             run(folder / "videos", Options(folder / "out"), Progress())
 
     return shared_folder("decay_run", fill)

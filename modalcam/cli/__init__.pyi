@@ -1,4 +1,17 @@
 from .app import app as app
 from .app import main as main
 from .options import CONFIG_HELP as CONFIG_HELP
+from .options import PIPELINE as PIPELINE
+from .options import Jobs as Jobs
+from .options import Json as Json
+from .options import NamedOut as NamedOut
+from .options import Out as Out
+from .options import Replace as Replace
+from .options import Seed as Seed
+from .options import Verbose as Verbose
+from .options import compute as compute
+from .options import console as console
+from .options import results_console as results_console
 from .options import results_folder as results_folder
+from .options import run_options as run_options
+from .options import takes as takes

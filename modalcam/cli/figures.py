@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import Replace
-from modalcam.files import check_new
-from modalcam.names import shown
+from modalcam.common import check_new, shown
 
 
 def figures(

@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from modalcam.errors import ExitCode, InputError, ModalcamError
-from modalcam.execution import Limits, low_memory_limits
-from modalcam.files import real
+from modalcam.common import ExitCode, InputError, ModalcamError, real
+from modalcam.pipeline import Limits, low_memory_limits
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from modalcam.commands import Options
-    from modalcam.execution import Progress
-    from modalcam.pipeline import RunResult
+    from modalcam.pipeline import Progress, RunResult
 
 # Help of an option that mirrors a key of the configuration is made from the key's field.
 CONFIG_HELP = "config:"

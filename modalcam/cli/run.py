@@ -23,8 +23,7 @@ from modalcam.cli.options import (
     run_options,
     takes,
 )
-from modalcam.errors import ModalcamError
-from modalcam.files import check_new, readable_bytes
+from modalcam.common import ModalcamError, check_new, readable_bytes
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
@@ -80,7 +79,7 @@ def track(
     """Track the markers only and write OUT/tracks."""
     from modalcam import commands
     from modalcam.console import listener, tracked
-    from modalcam.video import check_preview, write_preview
+    from modalcam.tables import check_preview, write_preview
     from tracker import MarkerTracks
 
     out = out or results_folder(target)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from modal_id import IdentifyOptions, IdentifySettings
+from modalcam.common import ConfigError
 from modalcam.config.schema import (
     REQUIRED_OF_BEAM,
     BeamConfig,
@@ -16,7 +17,6 @@ from modalcam.config.schema import (
     RecordingConfig,
     UpdatingConfig,
 )
-from modalcam.errors import ConfigError
 from sim.beam import BeamModes, BeamProperties, ElasticClamp, PointMass
 from sim.updating import UpdatingSettings
 from tracker import CameraOptions, MarkerOptions, TrackerSettings

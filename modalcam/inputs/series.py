@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modalcam.errors import InputError
+from modalcam.common import InputError, shown
 from modalcam.inputs.table import Table
-from modalcam.names import shown
 from tracker import (
     LOSSY,
     TRACK_COLUMNS,

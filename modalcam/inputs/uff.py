@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.errors import InputError
-from modalcam.files import readable_bytes
+from modalcam.common import InputError, readable_bytes, shown
 from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size, check_time
 from modalcam.inputs.table import MAX_BYTES
-from modalcam.names import shown
 from tracker import DisplacementSeries, FloatArray
 
 ENDINGS = (".uff", ".unv", ".u58", ".uf")

@@ -1,4 +1,4 @@
-"""Stages of a run and their results."""
+"""A run: its stages in order, the processes that compute them, the folder that keeps their results."""
 
 import lazy_loader
 

@@ -1,23 +1,35 @@
-"""Stages of the comparison: the decay of each recording, simulated with the updated beam, and filmed as recorded."""
+"""Stages of the comparison: the decay of each recording, simulated with the updated beam, and filmed as recorded.
+
+Scores of each damping model summed over all recordings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from modal_id import Identification
+from modalcam.apps.film import KeptFrames, NoFootage, SimulatedFootage
 from modalcam.config import AirConfig, RecordingConfig, random_words
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
-from modalcam.pipeline.combined_modes import measured_modes
+from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, each_together
-from modalcam.video import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam import BeamProperties
-from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay, obstacle
+from sim.comparison import (
+    BAND_DRAWS,
+    AirDrag,
+    DecayComparison,
+    FailedComparison,
+    ModelDecay,
+    ScoreSum,
+    compare_decay,
+    obstacle,
+)
 from sim.damping import MeasuredDamping, skipped_damping_models
 from tracker import MarkerTracks
 
@@ -68,7 +80,7 @@ def film(
     seed: tuple[int, ...],
 ) -> SimulatedFootage | NoFootage:
     """The kept frames as the camera would have seen the updated beam under generic damping."""
-    from modalcam.video import film_simulation  # noqa: PLC0415 - workers only, as above
+    from modalcam.apps.film import film_simulation  # noqa: PLC0415 - workers only, as above
 
     return film_simulation(
         frames,
@@ -85,7 +97,7 @@ def film(
 FILMING = Stage(
     "filming the simulation",
     "simulated",
-    ("sim", "tracker", "modalcam.video", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
+    ("sim", "tracker", "modalcam.apps.film", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
     film,
     NoFootage,
 )
@@ -138,3 +150,51 @@ def compare_recordings(
     return [
         r if isinstance(r.comparison, DecayComparison) else replace(r, simulated_footage=None) for r in found
     ], skipped
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """Scores of one damping model over the recordings with which it was compared.
+
+    `log_density` and `crps` are sums over all samples, the CRPS in the unit of the comparisons; their gains say by how
+    much the first model scores better on the same recordings. `coverage` is the share of the samples inside the 90 %
+    predictive band.
+    """
+
+    model: str
+    recordings: tuple[str, ...]
+    log_density: ScoreSum
+    crps: ScoreSum
+    log_density_gain: ScoreSum
+    crps_gain: ScoreSum
+    coverage: float
+
+
+def compared(recordings: Iterable[RecordingResult]) -> tuple[tuple[str, DecayComparison], ...]:
+    """Comparisons with the names of their recordings."""
+    return tuple((r.name, r.comparison) for r in recordings if isinstance(r.comparison, DecayComparison))
+
+
+def model_scores(recordings: Iterable[RecordingResult]) -> tuple[ModelScore, ...]:
+    """Scores of every model; the others are compared with the first."""
+    decays: dict[str, list[tuple[str, ModelDecay]]] = {}
+    for name, comparison in compared(recordings):
+        for decay in comparison.models:
+            decays.setdefault(decay.model, []).append((name, decay))
+    return tuple(_score(model, found) for model, found in decays.items())
+
+
+def _score(model: str, found: list[tuple[str, ModelDecay]]) -> ModelScore:
+    only = [decay for _, decay in found]
+    samples = np.array([decay.log_density.samples for decay in only], dtype=np.float64)
+    inside = float(np.array([decay.coverage for decay in only]) @ samples)
+    nothing = ScoreSum(0.0, 0.0, 0)
+    return ModelScore(
+        model=model,
+        recordings=tuple(name for name, _ in found),
+        log_density=sum((d.log_density for d in only), nothing),
+        crps=sum((d.crps for d in only), nothing),
+        log_density_gain=sum((d.log_density_gain for d in only), nothing),
+        crps_gain=sum((d.crps_gain for d in only), nothing),
+        coverage=inside / float(samples.sum()) if samples.sum() else float("nan"),
+    )

@@ -15,7 +15,7 @@ from typing import Any
 import numba
 from filelock import FileLock
 
-from modalcam.execution import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from modalcam.names import csv_safe, shown
+from modalcam.common import csv_safe, shown
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from modal_id import FailedIdentification, Identification
-    from modalcam.video import KeptFrames, NoFootage, SimulatedFootage
+    from modalcam.apps.film import KeptFrames, NoFootage, SimulatedFootage
     from sim.beam import BeamModes, BeamProperties
     from sim.comparison import DecayComparison, FailedComparison
     from sim.updating import Updating

@@ -8,11 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
+from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
-from modalcam.errors import InputError
-from modalcam.execution import FrameCount, Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.atomic import temporary_name
+from modalcam.pipeline.cache import load, save
+from modalcam.pipeline.frame_count import FrameCount
+from modalcam.pipeline.output_folder import Workspace
+from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.provenance import code_state, stage_key
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
-from modalcam.storage import Workspace, code_state, load, save, stage_key, temporary_name
 
 Result = TypeVar("Result")
 

@@ -1,19 +1,34 @@
-"""Stages that read a recording: its marker tracks, their displacement, and a few frames kept for the report."""
+"""Stages that read a recording: its marker tracks, their displacement, and a few frames kept for the report.
+
+Motion from a table, an array or a universal file instead of a recording.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modal_id import FailedIdentification, Identification
-from modalcam.config import tracker_settings
+from modalcam.apps.film import KeptFrames, NoFootage
+from modalcam.common import InputError, shown
+from modalcam.config import RecordingConfig, tracker_settings
+from modalcam.inputs import (
+    ENDINGS,
+    Table,
+    is_tracks,
+    read_table,
+    read_uff,
+    series_from_table,
+    tracks_from_table,
+)
+from modalcam.pipeline.pool import Limits, TaskFailure, worker_pool
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
-from modalcam.video import KeptFrames, NoFootage
 from tracker import FailedTracking, MarkerTracks, displacement_series
 
 if TYPE_CHECKING:
@@ -34,14 +49,14 @@ def track_recording(
 def keep_recorded(
     path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
 ) -> KeptFrames | NoFootage:
-    """As `modalcam.video.kept_frames.read_kept_frames`."""
-    from modalcam.video import read_kept_frames  # noqa: PLC0415 - as above
+    """As `modalcam.apps.film.footage.read_kept_frames`."""
+    from modalcam.apps.film import read_kept_frames  # noqa: PLC0415 - as above
 
     return read_kept_frames(path, tracks, found, size_mm)
 
 
 TRACKING = Stage("tracking", "tracks", ("tracker",), track_recording, FailedTracking, counts_frames=True)
-KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), keep_recorded, NoFootage)
+KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.apps.film"), keep_recorded, NoFootage)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
@@ -86,3 +101,45 @@ def frames_to_keep(context: Context, recordings: Sequence[RecordingResult]) -> d
         return {"path": source, "tracks": tracks, "found": found, "size_mm": size_mm}
 
     return {r.name: given for r in recordings if (given := inputs(r)) is not None}
+
+
+def motion_of(
+    path: Path, name: str, given: RecordingConfig, limits: Limits, *, unit: str, rate_hz: float | None
+) -> dict[str, Any]:
+    """Series or tracks of a file, as the field of a `RecordingResult`; the table that they are made from is not kept.
+
+    `unit` is that of channels that do not state it, `rate_hz` the samples per second of a table without times.
+    """
+    positions_mm = given.positions_mm
+    motion: dict[str, Any] = {}
+    if path.suffix.lower() in ENDINGS:
+        if rate_hz is not None:
+            msg = f"{shown(str(path))}: a universal file holds its times; --rate is for tables without times"
+            raise InputError(msg)
+        motion["series"] = read_uff(path, name=name, unit=unit, positions_mm=positions_mm)
+    elif is_tracks(table := _table(path, rate_hz, limits)):
+        reference = given.reference or ()
+        motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
+    else:
+        motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
+    return _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
+
+
+def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
+    """Columns of a file; a MATLAB file, of which a damaged one ends its reader by a signal, in another process."""
+    if path.suffix.lower() != ".mat":
+        return read_table(path, rate_hz)
+    with worker_pool(1, limits) as pool:
+        (found,) = pool.map(partial(read_table, rate_hz=rate_hz), [path])
+    if isinstance(found, TaskFailure):
+        msg = f"{shown(str(path))}: {found.reason}"
+        raise InputError(msg)
+    return found
+
+
+def _with_rate_sd(ppm: float, motion: dict[str, Any]) -> dict[str, Any]:
+    """The motion with the relative standard deviation of its rate; a table has no source of a rate to take it from."""
+    if "tracks" in motion:
+        axis = replace(motion["tracks"].time_axis, rate_sd_ppm=ppm)
+        return {"tracks": replace(motion["tracks"], time_axis=axis)}
+    return {"series": replace(motion["series"], rate_sd_ppm=ppm)}

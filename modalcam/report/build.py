@@ -1,4 +1,7 @@
-"""The report's HTML from the result of a run."""
+"""The report's HTML from the result of a run.
+
+Figures of the report, drawn in the worker processes of a run before the report is written.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,22 @@ import base64
 import hashlib
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import Any, Literal
 
-from modalcam.pipeline import RunResult, budgets, compared, measured_modes, model_scores
-from modalcam.report.figures import FigureKind, Place, RecordingSubject, figures_of, shown_in
+from modalcam.pipeline import (
+    Cache,
+    Progress,
+    RunResult,
+    WorkerPool,
+    budgets,
+    compared,
+    measured_modes,
+    model_scores,
+)
+from modalcam.report.figures import FIGURES, FigureKind, Place, RecordingSubject, figures_of, shown_in
 from modalcam.report.sections import (
     CLOSE_UP_SHOWN_PX,
     MOST_PLACES,
@@ -26,7 +40,6 @@ from modalcam.report.sections import (
     worst_ratios,
 )
 from modalcam.report.style import environment, style_sheet, trusted, unbroken
-from modalcam.storage import Cache
 from sim.beam import BeamModes
 
 Plots = Literal["interactive", "static"]
@@ -138,3 +151,44 @@ def _readings(views: Iterable[dict[str, Any]]) -> dict[str, tuple[str, str]]:
 def report_terms() -> dict[str, dict[str, str]]:
     """Name and text of each term of the report's glossary and of docs/glossary.md."""
     return tomllib.loads(resources.files("modalcam.report").joinpath("glossary.toml").read_text("utf-8"))
+
+
+@dataclass(frozen=True)
+class _Task:
+    kind: str
+    shown: Any
+    folder: Path
+    key: str
+
+
+def draw_figures(
+    result: RunResult, folder: Path, pool: WorkerPool, progress: Progress, meanwhile: Iterator[object]
+) -> None:
+    """Draw the figures of the report of `result` that `folder`, where they are kept, does not hold.
+
+    This process takes steps of `meanwhile` until they are drawn.
+    """
+    kept = Cache(folder)
+    tasks: dict[str, _Task] = {}
+    for kind, shown in shown_figures(result):
+        key = kind.cache_key(shown)
+        if not kept.holds(key):
+            tasks[key] = _Task(kind.key, shown, folder, key)
+    if not tasks:
+        return
+    names = [task.kind for task in tasks.values()]
+    progress.begin("drawing", len(names))
+    pool.map(
+        _draw,
+        list(tasks.values()),
+        done=lambda at: progress.advance(names[at]),
+        meanwhile=meanwhile,
+        unit="figure",
+    )
+
+
+def _draw(task: _Task) -> None:
+    kind = FIGURES.get(task.kind)
+    # What a worker would draw otherwise, such as with another matplotlib, is left to the process that asks for it.
+    if kind is not None and kind.cache_key(task.shown) == task.key:
+        kind.svg(task.shown, Cache(task.folder))

@@ -15,10 +15,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from modalcam.pipeline import RunResult
+from modalcam.pipeline import RunResult, replacing, write_text
 from modalcam.report.figures import FIGURES, FigureKind, RecordingSubject
 from modalcam.report.style import figure_style, new_figure
-from modalcam.storage import replacing, write_text
 
 # Widths of one and of two columns of a journal in inches (89 and 183 mm), and sizes of letters in points.
 COLUMNS = {1: (3.5, 7.0), 2: (7.2, 8.0)}

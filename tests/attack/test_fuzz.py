@@ -8,7 +8,7 @@ from support.attack_files import WRITERS
 from support.attacks import Outcome, attack, write_whole
 from support.worker_tasks import InThisProcess
 
-from modalcam.execution import Limits, pool
+from modalcam.pipeline import Limits, pool
 
 # A file is stopped after this long: it ends a hang, whatever else the machine does meanwhile.
 HANG_S = 240.0

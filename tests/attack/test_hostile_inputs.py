@@ -15,7 +15,7 @@ from support.decay_clip import write_decay
 from support.modal_decays import pole_of
 
 from modalcam import cli
-from modalcam.errors import ExitCode
+from modalcam.common import ExitCode
 
 
 def write_table(path, frequency_hz=10.0, text="y"):

@@ -12,7 +12,7 @@ from support.attacks import content
 from support.decay_clip import EXPERIMENT, write_decay
 
 from modalcam.commands import Options, run
-from modalcam.execution import pool
+from modalcam.pipeline import pool
 
 KILLS = 24
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from modalcam.apps.targets import calibrate_folder
+from modalcam.common import ConfigError, ExitCode, InputError
 from modalcam.config import parse_config
-from modalcam.errors import ConfigError, ExitCode, InputError
 from modalcam.inputs import Table, discover, read_table, series_from_table, tracks_from_table
-from modalcam.targets import calibrate_folder
 from tracker import TRACK_COLUMNS
 from tracker.geometry import Board
 from tracker.video import TiffSource, UnreadableVideoError, is_stack, read_photron_header

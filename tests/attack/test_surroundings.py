@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from modalcam.cli import app
 from modalcam.commands import Options, identify
 from modalcam.config import RecordingConfig
-from modalcam.execution import pool
+from modalcam.pipeline import pool
 
 ODD = {
     "LANG": "C",

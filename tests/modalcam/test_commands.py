@@ -15,11 +15,9 @@ from support.paths import ROOT
 
 from modalcam import commands, plugins
 from modalcam.commands import Options, _find, _inputs_key, report
-from modalcam.errors import InputError, ModalcamError
-from modalcam.execution import Progress
+from modalcam.common import InputError, ModalcamError
 from modalcam.inputs import Selection
-from modalcam.pipeline import load_run
-from modalcam.storage import RememberedHashes, Workspace, file_sha256
+from modalcam.pipeline import Progress, RememberedHashes, Workspace, file_sha256, load_run
 from sim.damping import registry
 
 pytestmark = pytest.mark.timeout(600)

@@ -10,8 +10,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from modalcam.cli import app
+from modalcam.common import ExitCode, ModalcamError
 from modalcam.console import FramePace, finish, problems, tracked
-from modalcam.errors import ExitCode, ModalcamError
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 

@@ -8,13 +8,11 @@ import pytest
 from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px
 from support.render_truth import centroid
 
+from modalcam.apps.film import SimulatedFootage, film_run
 from modalcam.commands import Options
+from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
-from modalcam.errors import InputError
-from modalcam.execution import Progress
-from modalcam.pipeline import load_run
-from modalcam.render import film_run
-from modalcam.video import SimulatedFootage
+from modalcam.pipeline import Progress, load_run
 
 
 def frames_of(path):

@@ -24,7 +24,7 @@ from support.mutations import mutated
 from support.worker_tasks import InThisProcess
 
 from modalcam import cli
-from modalcam.execution import pool
+from modalcam.pipeline import pool
 
 # A refusal may list what was expected, for instance the endings of recordings.
 LONGEST_REFUSAL = 1500

@@ -4,7 +4,7 @@ from functools import cache
 
 from support import report_runs as runs
 
-from modalcam.paper import recompute
+from modalcam.apps.paper import recompute
 from modalcam.pipeline import BeamResult
 from sim import paper_beam
 

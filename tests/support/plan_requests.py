@@ -1,7 +1,7 @@
 """Planning requests for the tests."""
 
+from modalcam.apps.plan import plan_request
 from modalcam.config import ExperimentConfig
-from modalcam.planning import plan_request
 
 BEAM = {
     "length_mm": 500.0,

@@ -28,9 +28,9 @@ from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_e
 from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.register.refined_warp import with_refined_warp
 from tracker.template import (
+    LEARNED_OVERSAMPLING,
     LEAST_IN_BIN,
     LONGEST_PX,
-    LEARNED_OVERSAMPLING,
     SMALLEST_PX,
     Blurrer,
     NoiseModel,

@@ -10,8 +10,8 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
 from modal_id import Identification, IdentifiedMode
-from modalcam.pipeline import RecordingResult
-from modalcam.report.derived import shown_channel, shown_mode
+from modalcam.pipeline import Cache, RecordingResult, code_sha256, digest
+from modalcam.report.signals import shown_channel, shown_mode
 from modalcam.report.style import (
     WIDTH_IN,
     FigureView,
@@ -22,7 +22,6 @@ from modalcam.report.style import (
     new_figure,
     variables,
 )
-from modalcam.storage import Cache, code_sha256, digest
 from sim.beam import BeamModes
 
 if TYPE_CHECKING:

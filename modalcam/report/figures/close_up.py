@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal_id import Identification
-from modalcam.report.derived import mode_motion
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import mode_motion
 from modalcam.report.style import FIT, MEASURED, dots, few_ticks, figure_label, legend_above, quantity, trace
 from tracker import FloatArray
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from modal_id import IdentifiedMode
 from modalcam.pipeline import BeamResult, RunResult
-from modalcam.report.derived import shown_mode
 from modalcam.report.figures.base import FigureKind
+from modalcam.report.signals import shown_mode
 from modalcam.report.style import (
     ALERT,
     INK,

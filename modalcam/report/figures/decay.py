@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from modal_id import Identification
-from modalcam.report.derived import residual
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.signals import residual
 from modalcam.report.style import (
     COLUMNS,
     FIT,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal_id import IdentifiedMode
-from modalcam.report.derived import measured_envelope
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import measured_envelope
 from modalcam.report.style import (
     ALERT,
     FIT,

@@ -13,8 +13,8 @@ from modal_id import Identification
 from modal_id.data import FitData
 from modal_id.fit import StabilityDiagram, stability_diagram
 from modal_id.solve import frequency_hz
-from modalcam.report.derived import highest, residual, spectral_density
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import highest, residual, spectral_density
 from modalcam.report.style import (
     FAINT,
     FIT,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modalcam.report.derived import instantaneous
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import instantaneous
 from modalcam.report.style import ALERT, FIT, MEASURED, Style, few_ticks, figure_label, legend_above
 from tracker import FloatArray
 

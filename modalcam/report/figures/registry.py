@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, get_args
 
+from modalcam.pipeline import Cache
 from modalcam.report.figures.base import FigureKind, Place
 from modalcam.report.figures.close_up import CLOSE_UP
 from modalcam.report.figures.damping import DAMPING, VARIANTS
@@ -21,7 +22,6 @@ from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
 from modalcam.report.figures.waterfall import WATERFALL
 from modalcam.report.style import FigureView
-from modalcam.storage import Cache
 
 _RECORDING = (
     DECAY,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.derived import drawn_decays
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.signals import drawn_decays
 from modalcam.report.style import (
     COLUMNS,
     MEASURED,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from modalcam.report.derived import TrackingQuality, tracking_quality
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.signals import TrackingQuality, tracking_quality
 from modalcam.report.style import (
     ALERT,
     FIT,

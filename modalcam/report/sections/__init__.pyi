@@ -9,11 +9,11 @@ from .images import SHOWN_PER_S as SHOWN_PER_S
 from .images import film as film
 from .images import first_frame as first_frame
 from .images import strip as strip
-from .motion import AMPLITUDE as AMPLITUDE
-from .motion import LENGTH as LENGTH
-from .motion import moving_shape as moving_shape
+from .recording import AMPLITUDE as AMPLITUDE
+from .recording import LENGTH as LENGTH
 from .recording import Detail as Detail
 from .recording import detail_for as detail_for
+from .recording import moving_shape as moving_shape
 from .recording import recording_view as recording_view
 from .updating import updating_numbers as updating_numbers
 from .updating import updating_rows as updating_rows

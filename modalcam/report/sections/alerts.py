@@ -11,7 +11,7 @@ import numpy as np
 from modal_id import Check, DrivenMotion, IdentifiedMode, ModeFlag, quoted_note
 from modal_id.modes import line_effect
 from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult
-from modalcam.report.derived import best_modes, main_modes
+from modalcam.report.signals import best_modes, main_modes
 from modalcam.report.style import count, fixed, listed, mode_name, p_value, percent, significant
 from tracker import REGISTRY, MarkerTracks, Severity
 

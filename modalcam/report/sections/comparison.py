@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from modalcam.pipeline import ModelScore, RunResult, compared, model_scores
-from modalcam.report.derived import decay_of, shown_mode
+from modalcam.report.signals import decay_of, shown_mode
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay, ScoreSum
 from sim.damping import DAMPING_MODELS
 

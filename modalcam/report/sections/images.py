@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from modalcam.apps.film import ExaggeratedFilm, KeptFrames, SimulatedFootage
 from modalcam.report.style import figure_label
-from modalcam.video import ExaggeratedFilm, KeptFrames, SimulatedFootage
 from tracker import FailedTracking, FrameStrip, MarkerTracks
 
 _LONGEST_SIDE_PX = 420

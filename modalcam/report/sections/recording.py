@@ -1,4 +1,7 @@
-"""What the page shows of one recording."""
+"""What the page shows of one recording.
+
+Mode shapes in motion: each between its extremes, by the style sheet alone.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,59 @@ import numpy as np
 
 from modal_id import Identification, IdentifiedMode, ModeFlag, Segment
 from modal_id.modes import mpc
-from modalcam.pipeline import RecordingResult
-from modalcam.report.derived import main_modes, nrmse_of_fit, shown_mode
-from modalcam.report.figures import RecordingSubject, figures_of
+from modalcam.apps.film import ExaggeratedFilm, KeptFrames, NoFootage, SimulatedFootage, exaggerated_film
+from modalcam.pipeline import Cache, RecordingResult, Value, code_sha256, digest
+from modalcam.report.figures import MOST_POINTS, RecordingSubject, figures_of, shape_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
-from modalcam.report.sections.motion import moving_shape
+from modalcam.report.signals import main_modes, nrmse_of_fit, shown_mode
 from modalcam.report.style import mode_name, sentence
-from modalcam.storage import Cache, Value, code_sha256, digest
-from modalcam.video import ExaggeratedFilm, KeptFrames, NoFootage, SimulatedFootage, exaggerated_film
 from sim.beam import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from sim.damping import DAMPING_MODELS
-from tracker import DUPLICATE_FRAME, MarkerTracks, Severity
+from tracker import DUPLICATE_FRAME, FloatArray, MarkerTracks, Severity
+
+# Length of the beam and largest amplitude, in the units of the drawing.
+LENGTH, AMPLITUDE = 200.0, 28.0
+
+
+class MovingShape(NamedTuple):
+    """A mode shape at one extreme: y is down, the beam at rest lies on y = 0 from the clamp at x = 0.
+
+    `points` are the markers; of many, such as the stations of a line, `measured` is the path instead. Paths are empty
+    where there is none.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    measured: str
+    theory: str
+
+
+def moving_shape(subject: RecordingSubject) -> MovingShape | None:
+    """Shape of the mode shown, its component in phase; None where it has no shape."""
+    shown = shape_of(subject)
+    if shown is None:
+        return None
+    at, real = shown.position_mm, shown.shape.real
+    theory_at, theory = (np.empty(0), np.empty(0)) if shown.curve is None else shown.curve
+    longest = float(np.max(np.concatenate((at, theory_at))))
+    largest = float(np.max(np.abs(np.concatenate((real, theory)))))
+    if not (longest > 0.0 and largest > 0.0):
+        return None
+    x, y = LENGTH * at / longest, -AMPLITUDE * real / largest
+    many = at.size > MOST_POINTS
+    return MovingShape(
+        points=()
+        if many
+        else tuple((round(float(a), 1), round(float(b), 1)) for a, b in zip(x, y, strict=True)),
+        measured=_path(x, y) if many else "",
+        theory=_path(LENGTH * theory_at[::3] / longest, -AMPLITUDE * theory[::3] / largest),
+    )
+
+
+def _path(x: FloatArray, y: FloatArray) -> str:
+    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True)) if x.size else ""
+
 
 _MIN_CHANNELS = 3
 

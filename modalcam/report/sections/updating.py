@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from modalcam.pipeline import BeamResult, RunResult
-from modalcam.report.derived import best_modes
+from modalcam.report.signals import best_modes
 from modalcam.report.style import significant, superscript
 from sim.updating import Updating, variable_names
 from tracker import FloatArray

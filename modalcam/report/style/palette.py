@@ -107,6 +107,6 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     """An empty figure; call within `figure_style`."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - only to draw
 
-    from modalcam.report.style.layout import GridLayout  # noqa: PLC0415
+    from modalcam.report.style.figure import GridLayout  # noqa: PLC0415
 
     return Figure(figsize=(width_in, height_in), layout=GridLayout())

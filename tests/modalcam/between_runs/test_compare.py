@@ -11,9 +11,9 @@ from scipy.stats import chi2, norm
 from support import report_runs as runs
 from support.html_page import assert_sound
 
-from modalcam.between_runs import compare_runs, page
-from modalcam.errors import InputError
-from modalcam.export import summary
+from modalcam.apps.compare import compare_runs, page
+from modalcam.common import InputError
+from modalcam.tables import summary
 
 FREQUENCY_HZ, FREQUENCY_SD_HZ = 10.0, 0.002
 DAMPING, DAMPING_SD = 0.003, 2e-5

@@ -19,10 +19,10 @@ from typer.testing import CliRunner
 from modalcam import cli
 from modalcam.cli import results_folder
 from modalcam.commands import Options, track
+from modalcam.common import ExitCode
 from modalcam.config import load_config
 from modalcam.console import exit_code, listener
-from modalcam.errors import ExitCode
-from modalcam.execution import Limits
+from modalcam.pipeline import Limits
 
 
 @pytest.fixture

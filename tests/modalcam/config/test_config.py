@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from modalcam.common import ConfigError
 from modalcam.config import (
     BeamConfig,
     ExperimentConfig,
@@ -15,7 +16,6 @@ from modalcam.config import (
     parse_config,
     updating_settings,
 )
-from modalcam.errors import ConfigError
 from sim.beam import AncfBeam, beam_modes
 from sim.updating import UpdatingSettings
 from tracker import parse_fps, write_fps

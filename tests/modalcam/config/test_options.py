@@ -6,6 +6,7 @@ import pytest
 from pydantic import Field
 from support.paths import ROOT
 
+from modalcam.common import ConfigError
 from modalcam.config import (
     CameraConfig,
     ExperimentConfig,
@@ -17,7 +18,6 @@ from modalcam.config import (
     sections,
     toml_value,
 )
-from modalcam.errors import ConfigError
 from tracker import Positive
 
 OPTIONS = [(section, o) for section in sections() for o in section.options()]

@@ -14,17 +14,18 @@ from support.paths import ROOT
 from support.worker_tasks import InThisProcess, behave
 
 from modalcam.commands import Options, run
-from modalcam.errors import InputError
-from modalcam.execution import (
+from modalcam.common import InputError
+from modalcam.pipeline import (
     IncompatibleWorkerError,
     Limits,
     Progress,
     TaskFailure,
     WorkerRequirements,
     cluster_pool,
+    code_sha256,
+    versions,
 )
-from modalcam.execution import dask as modalcam_cluster
-from modalcam.storage import code_sha256, versions
+from modalcam.pipeline import dask as modalcam_cluster
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
 
@@ -171,7 +172,7 @@ def test_a_run_that_loses_a_worker_gives_the_same_bytes_as_a_local_run(
     # Workers save the results; only these are compared, not the files that this process writes from them.
     monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__, **___: result)
     with monkeypatch.context() as patched:
-        patched.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+        patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
         local = run(videos, Options(tmp_path / "local"), Progress())
     broken, intact = local.recordings
     assert broken.failure

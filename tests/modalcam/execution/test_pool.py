@@ -5,8 +5,8 @@ from concurrent.futures import Executor, Future
 import pytest
 from support.worker_tasks import GIBI, behave
 
-from modalcam.errors import ModalcamError
-from modalcam.execution import Limits, TaskFailure, WorkerPool, worker_pool
+from modalcam.common import ModalcamError
+from modalcam.pipeline import Limits, TaskFailure, WorkerPool, worker_pool
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

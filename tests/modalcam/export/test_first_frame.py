@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from modalcam.export import write_first_frame
+from modalcam.tables import write_first_frame
 from tracker import FailedTracking
 
 

@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 from support.modal_decays import pole_of, series_of
 
 from modal_id import identify
-from modalcam.export import netcdf
+from modalcam.tables import netcdf
 
 FREQUENCY_HZ, DAMPING_RATIO, RATE_SD_PPM = 12.0, 0.004, 50.0
 # highest frequency of the drift that is fitted beside a mode above 2.5 Hz

@@ -9,12 +9,11 @@ from support.modalcam_data import identification_of
 from support.paths import ROOT
 from support.report_runs import beam_result, compared, paper_recordings, run_result
 
+from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
-from modalcam.errors import InputError
-from modalcam.export import WRITERS, Output, Writer, outputs, register_writer, with_missing_formats
 from modalcam.inputs import read_uff
-from modalcam.pipeline import RecordingResult, RunResult
-from modalcam.storage import Workspace
+from modalcam.pipeline import RecordingResult, RunResult, Workspace
+from modalcam.tables import WRITERS, Output, Writer, outputs, register_writer, with_missing_formats
 
 
 @pytest.fixture
@@ -27,7 +26,7 @@ def result():
 @pytest.fixture
 def writers(monkeypatch):
     copy = dict(WRITERS)
-    monkeypatch.setattr("modalcam.export.writers.WRITERS", copy)
+    monkeypatch.setattr("modalcam.tables.writers.WRITERS", copy)
     return copy
 
 

@@ -8,9 +8,8 @@ from support.report_runs import beam_theory, run_result
 
 from benchmarks.line_scenes import ROOTS, mode_shape
 from modalcam.config import ExperimentConfig
-from modalcam.export import COLUMNS, SHAPES, summary
-from modalcam.pipeline import BeamResult, RecordingResult
-from modalcam.storage import Workspace
+from modalcam.pipeline import BeamResult, RecordingResult, Workspace
+from modalcam.tables import COLUMNS, SHAPES, summary
 from sim import paper_beam
 
 POSITIONS_MM = 500.0 * (np.arange(40) + 0.5) / 40

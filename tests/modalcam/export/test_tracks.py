@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.modalcam_data import sample_tracks
 
-from modalcam.export import tables
+from modalcam.tables import columns as tables
 
 
 def long_tracks(frames):

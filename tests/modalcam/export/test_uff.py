@@ -7,9 +7,9 @@ import pytest
 import pyuff
 from support.modalcam_data import identification_of
 
-from modalcam.errors import InputError
-from modalcam.export import write_uff
+from modalcam.common import InputError
 from modalcam.inputs import read_uff
+from modalcam.tables import write_uff
 
 
 def test_pyuff_reads_the_series_and_shapes(tmp_path):
@@ -152,7 +152,7 @@ def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff and .csv files of the same series."""
     from modalcam.commands import Options, identify
     from modalcam.config import RecordingConfig
-    from modalcam.execution import Progress
+    from modalcam.pipeline import Progress
 
     rng = np.random.default_rng(3)
     time_s = np.arange(1500) / 500.0

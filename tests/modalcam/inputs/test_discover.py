@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from modalcam.errors import ExitCode, InputError, NoInputError
+from modalcam.common import ExitCode, InputError, NoInputError
 from modalcam.inputs import discover
 
 

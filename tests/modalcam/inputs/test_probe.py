@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
+from modalcam.apps.studio import TrialTask, detected
 from modalcam.config import ExperimentConfig
 from modalcam.inputs import Found, probe_folder, probe_recordings, starter_config
-from modalcam.studio import TrialTask, detected
 from sim.render import write_video
 from tracker import TrackerSettings
 

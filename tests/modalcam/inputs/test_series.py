@@ -3,9 +3,9 @@ import pandas as pd
 import pytest
 from support.modalcam_data import rectified_tracks, sample_tracks
 
-from modalcam.errors import InputError
-from modalcam.export import write_tracks
+from modalcam.common import InputError
 from modalcam.inputs import is_tracks, read_table, series_from_table, tracks_from_table
+from modalcam.tables import write_tracks
 
 
 def table_of(tmp_path, text):

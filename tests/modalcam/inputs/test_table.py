@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from modalcam.errors import InputError
+from modalcam.common import InputError
 from modalcam.inputs import read_table, series_from_table
 
 TIME_S = np.arange(40) / 250.0

@@ -10,8 +10,17 @@ from support import report_runs as runs
 from support.html_page import Page, assert_sound
 from support.paper_runs import paper, run_of_table_2
 
-from modalcam.paper import TrueMode, Truth, checks, numbers, paper_html, paper_page, table2, variables
-from modalcam.report.derived import best_modes
+from modalcam.apps.paper import (
+    TrueMode,
+    Truth,
+    checks,
+    numbers,
+    paper_html,
+    paper_page,
+    table2,
+    variables,
+)
+from modalcam.report import best_modes
 from sim import reference as printed
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from modalcam.paper import beam_differences, read_truth
+from modalcam.apps.paper import beam_differences, read_truth
 from sim import paper_beam
 from sim.beam import PointMass
 

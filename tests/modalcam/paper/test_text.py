@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from modalcam.paper import (
+from modalcam.apps.paper import (
     error,
     numbered,
     of_all,

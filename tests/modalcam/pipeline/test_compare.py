@@ -9,10 +9,9 @@ import pytest
 from support import report_runs
 
 from modalcam import cli
+from modalcam.apps.film import NoFootage
 from modalcam.config import ExperimentConfig
-from modalcam.pipeline import Context, compare_recordings
-from modalcam.storage import Workspace
-from modalcam.video import NoFootage
+from modalcam.pipeline import Context, Workspace, compare_recordings
 from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.comparison import FailedComparison

@@ -12,8 +12,17 @@ import pytest
 from support.kernel_cache import kernels, listed, python
 from support.paths import ROOT
 
-from modalcam.execution import Progress, WorkerPool
-from modalcam.pipeline import DECAYS, FILMS, GROUPS, LINES, MARKERS, SIMULATION, compile_kernels
+from modalcam.pipeline import (
+    DECAYS,
+    FILMS,
+    GROUPS,
+    LINES,
+    MARKERS,
+    SIMULATION,
+    Progress,
+    WorkerPool,
+    compile_kernels,
+)
 
 NAMES = ("LINES", "MARKERS", "SIMULATION", "DECAYS", "FILMS")
 COMPILE = """
@@ -36,7 +45,7 @@ track(folder / "mode3.avi", settings.model_copy(update={"stations": 10}))
 # What the first command and the next say of the kernels of synthetic films.
 TWO_COMMANDS = """
 from support.worker_tasks import InThisProcess
-from modalcam.execution.pool import Progress, WorkerPool
+from modalcam.pipeline.pool import Progress, WorkerPool
 from modalcam.pipeline.compile import FILMS, STAGE, compile_kernels
 class Told(Progress):
     def begin(self, stage, total):

@@ -7,9 +7,20 @@ from support.worker_tasks import Inline, counted
 
 from modalcam import plugins
 from modalcam.config import ExperimentConfig
-from modalcam.execution import Limits, WorkerPool, worker_pool
-from modalcam.pipeline import RUN, Context, InputFile, RecordingResult, RunResult, Stage, run_together
-from modalcam.storage import RunRecord, Workspace
+from modalcam.pipeline import (
+    RUN,
+    Context,
+    InputFile,
+    Limits,
+    RecordingResult,
+    RunRecord,
+    RunResult,
+    Stage,
+    WorkerPool,
+    Workspace,
+    run_together,
+    worker_pool,
+)
 from sim import paper_beam
 from tracker import FailedTracking
 
@@ -40,7 +51,7 @@ def scaled(recording, factor):
     return (recording.name, factor)
 
 
-SCALING = Stage("scaling", "scaled", ("modalcam.names",), scaled, FailedTracking)
+SCALING = Stage("scaling", "scaled", ("modalcam.common",), scaled, FailedTracking)
 
 
 @pytest.fixture
@@ -114,7 +125,7 @@ class Noticing(Listener):
 
 def test_the_frames_of_a_task_are_reported_while_it_goes_on(context, tmp_path):
     seen = tmp_path / "seen"
-    stage = Stage("counting", "counted", ("modalcam.names",), counted, FailedTracking, counts_frames=True)
+    stage = Stage("counting", "counted", ("modalcam.common",), counted, FailedTracking, counts_frames=True)
     with worker_pool(1) as pool:
         live = replace(context, pool=pool, progress=Noticing(seen))
         given = {"recording": InputFile(tmp_path / "a.avi", "00"), "seen": str(seen)}
@@ -147,7 +158,7 @@ def test_a_change_of_any_input_computes_the_result_again(context, tmp_path, monk
     if change == "content":
         given = inputs(tmp_path, recording=InputFile(tmp_path / "a.avi", "01"))
     elif change == "code":
-        stage = Stage("scaling", "scaled", ("modalcam.errors",), scaled, FailedTracking)
+        stage = Stage("scaling", "scaled", ("modalcam.common",), scaled, FailedTracking)
     elif change == "plugin":
         monkeypatch.setitem(plugins._LOADED, "a_plugin", "0" * 64)
     else:

@@ -5,7 +5,7 @@ from support.plan_requests import BEAM, plan_of
 from typer.testing import CliRunner
 
 from modalcam import cli
-from modalcam.planning import Plan, TrialSummary, plan_html, predict
+from modalcam.apps.plan import Plan, TrialSummary, plan_html, predict
 from modalcam.report.style import significant
 
 

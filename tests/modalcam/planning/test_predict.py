@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.plan_requests import plan_of
 
-from modalcam.planning import Plan, advice, predict
+from modalcam.apps.plan import Plan, advice, predict
 from modalcam.report.style import significant
 
 

@@ -6,9 +6,9 @@ import pytest
 from support.paths import ROOT, SAMPLES
 from support.plan_requests import BEAM, plan_of
 
+from modalcam.apps.plan import plan, plan_request, predict
+from modalcam.common import ConfigError
 from modalcam.config import ExperimentConfig, load_config
-from modalcam.errors import ConfigError
-from modalcam.planning import plan, plan_request, predict
 
 MARKERS = {"kind": "blob", "size_mm": 12.0, "positions_mm": [100.0, 300.0]}
 

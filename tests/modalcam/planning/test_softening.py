@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modalcam.planning import frequency_per_amplitude_squared
+from modalcam.apps.plan import frequency_per_amplitude_squared
 from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import NoDamping

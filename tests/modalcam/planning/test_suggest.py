@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.plan_requests import plan_of
 
-from modalcam.planning import better_positions, frame_rates, predict
+from modalcam.apps.plan import better_positions, frame_rates, predict
 
 
 def test_better_positions_narrow_the_intervals_and_are_far_enough_apart():

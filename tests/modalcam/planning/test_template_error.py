@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal_id.data import bandwidth_hz, baseline_matrix
-from modalcam.planning import template_factors
+from modalcam.apps.plan import template_factors
 from tracker import LOSSLESS_SHARE
 
 

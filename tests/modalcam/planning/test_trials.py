@@ -3,7 +3,7 @@
 import pytest
 from support.plan_requests import plan_of
 
-from modalcam.planning import predict, run_trials
+from modalcam.apps.plan import predict, run_trials
 
 # Short recordings of few pixels, each with another limit: mode 2 the length of the record, mode 3 motion blur
 # at an amplitude with softening, mode 1 drift in a few slow cycles.

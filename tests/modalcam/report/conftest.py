@@ -5,8 +5,8 @@ from functools import partial
 import pytest
 from support import report_runs as runs
 
+from modalcam.pipeline import Cache, load, save
 from modalcam.report import build_report
-from modalcam.storage import Cache, load, save
 
 
 @pytest.fixture(scope="session")

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.execution import Progress, worker_pool
+from modalcam.pipeline import Cache, Progress, worker_pool
 from modalcam.report import build_report, draw_figures
 from modalcam.report.figures import FIGURES, FigureKind, RecordingSubject, base, figures_of, register_figure
-from modalcam.storage import Cache
 
 
 @pytest.fixture
@@ -83,7 +82,7 @@ def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monke
 
 def test_a_report_whose_figures_are_kept_loads_nothing_that_draws_or_fits():
     program = (
-        "import modalcam.report.build, modalcam.export.writers, modalcam.pipeline.all_stages, sys;"
+        "import modalcam.report.build, modalcam.tables.writers, modalcam.pipeline.all_stages, sys;"
         "print({'matplotlib', 'pandas', 'scipy.optimize', 'skimage.measure._regionprops'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -11,11 +11,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support import report_runs as runs
 
-from modalcam.export import summary
-from modalcam.paper import OptimumColumn, Recomputed, Truth, equations, standard_column
-from modalcam.paper import page as paper
+from modalcam.apps.film import KeptFrames, SimulatedFootage
+from modalcam.apps.paper import OptimumColumn, Recomputed, Truth, equations, standard_column
+from modalcam.apps.paper import page as paper
 from modalcam.pipeline import RecordingResult
-from modalcam.video import KeptFrames, SimulatedFootage
+from modalcam.tables import summary
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 pytestmark = pytest.mark.skipif(

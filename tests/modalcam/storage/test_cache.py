@@ -10,9 +10,9 @@ from support.modalcam_data import rectified_tracks, sample_tracks
 
 from modal_id import FailedIdentification, Onset
 from modalcam import plugins
+from modalcam.common import InputError
 from modalcam.config import RecordingConfig
-from modalcam.errors import InputError
-from modalcam.storage import Cache, digest, load, save
+from modalcam.pipeline import Cache, digest, load, save
 from sim import paper_beam
 from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
 from tracker import FailedTracking
@@ -91,10 +91,10 @@ def test_missing_damaged_and_other_files(tmp_path):
         ("subprocess:Popen", "not a class of modalcam"),
         ("modalcam_of_another:Popen", "not a class of modalcam"),
         ("modalcam.__main__:main", "not a class of modalcam"),
-        ("modalcam.storage.cache:load", "not a frozen dataclass"),
-        ("modalcam.storage.cache:importlib.abc.Loader", "not a frozen dataclass"),
-        ("modalcam.storage.cache:Cache", "not a frozen dataclass"),
-        ("modalcam.storage.cache:Absent", "no attribute"),
+        ("modalcam.pipeline.cache:load", "not a frozen dataclass"),
+        ("modalcam.pipeline.cache:importlib.abc.Loader", "not a frozen dataclass"),
+        ("modalcam.pipeline.cache:Cache", "not a frozen dataclass"),
+        ("modalcam.pipeline.cache:Absent", "no attribute"),
     ],
 )
 def test_only_dataclasses_of_the_program_are_loaded(tmp_path, kind, words):

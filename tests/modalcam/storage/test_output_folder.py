@@ -4,9 +4,17 @@ import os
 import pytest
 from support import attacks
 
+from modalcam.common import InputError, OutputError
 from modalcam.config import ExperimentConfig
-from modalcam.errors import InputError, OutputError
-from modalcam.storage import Outputs, RememberedHashes, RunRecord, Source, Workspace, replacing, write_text
+from modalcam.pipeline import (
+    Outputs,
+    RememberedHashes,
+    RunRecord,
+    Source,
+    Workspace,
+    replacing,
+    write_text,
+)
 
 
 def test_a_run_record_is_read_back(tmp_path):

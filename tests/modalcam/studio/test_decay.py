@@ -9,8 +9,7 @@ from support.modal_decays import series_of
 from support.modalcam_data import sample_tracks
 
 from modal_id import identify
-from modalcam.config import RecordingConfig
-from modalcam.studio import (
+from modalcam.apps.studio import (
     DecayTask,
     Problem,
     TrialDecayTask,
@@ -20,6 +19,7 @@ from modalcam.studio import (
     shown_decay,
     thinned,
 )
+from modalcam.config import RecordingConfig
 
 
 def test_a_thinned_curve_keeps_its_extremes_and_its_order():

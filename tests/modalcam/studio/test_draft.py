@@ -6,9 +6,9 @@ import tomllib
 import pytest
 from support.paths import SAMPLES
 
+from modalcam.apps.studio import Draft, with_option, with_options_of
+from modalcam.common import ConfigError, OutputError
 from modalcam.config import load_config
-from modalcam.errors import ConfigError, OutputError
-from modalcam.studio import Draft, with_option, with_options_of
 
 COMMENTED = """\
 # heading of the lab

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from modalcam.studio import MOST_BODY_BYTES, Guard
+from modalcam.apps.studio import MOST_BODY_BYTES, Guard
 
 PORT = 4321
 HOST = f"127.0.0.1:{PORT}"

@@ -6,10 +6,19 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from modalcam.apps.studio import (
+    DetectedMarker,
+    Draft,
+    in_image,
+    marked,
+    markers_text,
+    on_canvas,
+    overlay,
+    trail,
+)
+from modalcam.apps.studio import markers as edit
+from modalcam.common import ModalcamError
 from modalcam.config import RecordingConfig
-from modalcam.errors import ModalcamError
-from modalcam.studio import DetectedMarker, Draft, in_image, marked, markers_text, on_canvas, overlay, trail
-from modalcam.studio import markers_edit as edit
 
 
 @pytest.fixture

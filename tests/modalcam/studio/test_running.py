@@ -6,8 +6,8 @@ import time
 import pytest
 from support.decay_clip import write_decay
 
-from modalcam.errors import ExitCode, ModalcamError
-from modalcam.studio import Runner, RunRequest, RunState
+from modalcam.apps.studio import Runner, RunRequest, RunState
+from modalcam.common import ExitCode, ModalcamError
 
 
 def line(**values):

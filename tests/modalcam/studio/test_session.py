@@ -9,9 +9,9 @@ from support import tracker_media as media
 from support.decay_clip import write_decay
 from support.paths import ROOT
 
+from modalcam.apps.studio import Pools, Problem, Studio, options_error, overlay
+from modalcam.common import ConfigError, InputError, ModalcamError, NoInputError
 from modalcam.config import load_config
-from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
-from modalcam.studio import Pools, Problem, Studio, options_error, overlay
 from tracker import FailedTracking
 
 SAMPLE_BARE = ROOT / "sample_bare"
@@ -19,7 +19,7 @@ HOSTILE = '"]]\n[beam]\nlength_mm = 1 #<script>.avi'
 
 
 class InThisProcess:
-    """The interface of `modalcam.execution.pool.WorkerPool`, without processes."""
+    """The interface of `modalcam.pipeline.pool.WorkerPool`, without processes."""
 
     def map(self, function, tasks):
         return [function(task) for task in tasks]

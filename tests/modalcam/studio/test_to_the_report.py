@@ -8,9 +8,9 @@ import pytest
 from support.paths import REALDATA, REALDATA_ABSENT, SAMPLES
 from support.studio import CHROMIUM, RUN_MS, click_frame, opened, running_studio, save_and_run, show, targets
 
+from modalcam.apps.film import film_config
 from modalcam.config import beam_properties, load_config
-from modalcam.execution import Progress
-from modalcam.video import film_config
+from modalcam.pipeline import Progress
 from sim.beam import AncfBeam, beam_modes
 from sim.render import RecordingPlan
 

@@ -11,7 +11,7 @@ from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id import IdentifySettings, identify
 from modal_id.posterior import modal_bound
-from modalcam.studio import (
+from modalcam.apps.studio import (
     ExpectedTask,
     Problem,
     Trial,
@@ -23,7 +23,7 @@ from modalcam.studio import (
     summarised,
     trial_track,
 )
-from modalcam.studio.trial_summary import _advice
+from modalcam.apps.studio.trial import _advice
 from tracker import TrackerSettings, displacement_series, track
 from tracker.geometry import TimeAxis
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modalcam import cli
+from modalcam.common import ConfigError
 from modalcam.config import dump_config, load_config, parse_config, tracker_settings
-from modalcam.errors import ConfigError
 from tracker.geometry import Board, Lens, calibrate_lens, undistort
 
 BOARD = Board(7, 5, 30.0, 22.0, "DICT_4X4_50")

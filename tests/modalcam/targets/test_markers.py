@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modalcam import cli
-from modalcam.errors import ModalcamError
-from modalcam.targets import aruco_pages, board_page, dot_pages, parse_ids, save_pages
+from modalcam.apps.targets import aruco_pages, board_page, dot_pages, parse_ids, save_pages
+from modalcam.common import ModalcamError
 from tracker.geometry import Board
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -8,9 +8,9 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
-from modalcam.export import summary
+from modalcam.apps.film import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
 from modalcam.report import build_report
-from modalcam.video import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
+from modalcam.tables import summary
 
 STATIONS = 60
 BRIGHT, DARK = 180.0, 60.0

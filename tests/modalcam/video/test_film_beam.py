@@ -4,9 +4,9 @@ import av
 import numpy as np
 import pytest
 
-from modalcam.errors import ConfigError
-from modalcam.execution import Progress
-from modalcam.video import film_config
+from modalcam.apps.film import film_config
+from modalcam.common import ConfigError
+from modalcam.pipeline import Progress
 from sim.render import RecordingPlan
 
 CONFIG = """

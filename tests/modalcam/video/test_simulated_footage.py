@@ -12,10 +12,7 @@ import pytest
 from support.render_truth import centroid
 from support.sim_decays import exponent, identification
 
-from modalcam.config import RecordingConfig
-from modalcam.report.sections import film
-from modalcam.report.style import environment
-from modalcam.video import (
+from modalcam.apps.film import (
     KeptFrames,
     NoFootage,
     SimulatedFootage,
@@ -24,6 +21,9 @@ from modalcam.video import (
     read_kept_frames,
     reduced,
 )
+from modalcam.config import RecordingConfig
+from modalcam.report.sections import film
+from modalcam.report.style import environment
 from sim import paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping

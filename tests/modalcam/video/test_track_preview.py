@@ -10,7 +10,7 @@ from support.modalcam_data import sample_tracks
 from support.tracker_scenes import Recording
 
 from modalcam import cli
-from modalcam.video import annotate
+from modalcam.tables import annotate
 from tracker import POOR_FIT, DecodeReport
 
 

@@ -8,8 +8,8 @@ from support.line_films import SMALL
 
 from benchmarks.line_scenes import LineScene
 from modal_id import IdentifySettings, identify
-from modalcam.export import write_tracks
 from modalcam.inputs import read_table, tracks_from_table
+from modalcam.tables import write_tracks
 from sim.render import write_video
 from tracker import TrackerSettings, displacement_series, track
 from tracker.line import ENDS_PX, NoMovingLine, find_line

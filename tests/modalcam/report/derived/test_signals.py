@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import linregress
 from support import report_runs as runs
 
-from modalcam.report.derived import (
+from modalcam.report import (
     highest,
     measured_envelope,
     mode_motion,
@@ -15,8 +15,8 @@ from modalcam.report.derived import (
     shown_mode,
     spectral_density,
 )
-from modalcam.report.derived.signals import _slope
 from modalcam.report.figures import in_phase, rayleigh_damping_ratio
+from modalcam.report.signals import _slope
 
 
 def identification(number=2, **more):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.report.derived import prediction_residual, tracking_quality
+from modalcam.report import prediction_residual, tracking_quality
 
 
 def noisy_tracks(stated=0.02, sd=0.02, n=3000):

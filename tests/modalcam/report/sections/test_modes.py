@@ -11,8 +11,7 @@ from support.sim_decays import identification
 from modal_id.modes import residual_checks
 from modal_id.posterior import with_rate_error
 from modalcam.pipeline import RecordingResult, RunResult, measured_modes
-from modalcam.report import build_report
-from modalcam.report.derived import instantaneous
+from modalcam.report import build_report, instantaneous
 from modalcam.report.sections import Detail, recording_view
 
 TIME_S = np.arange(3000) / 500.0

@@ -1,5 +1,0 @@
-"""The same beam in several runs: differences and scatter of its modes."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,5 +1,0 @@
-"""Processes that compute, on this machine or on a cluster, and how they report progress."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,77 @@
+"""`shapes.csv`: mode shapes along the beam and their curvature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from modal_id import IdentifiedMode
+from modal_id.modes import Curvature, NoCurvature, beam_curvature, in_phase
+from modalcam.pipeline import BeamResult, RecordingResult, RunResult
+from modalcam.tables.columns import table_writer
+from tracker import ComplexArray, FloatArray, MarkerTracks
+
+COLUMNS = (
+    "recording mode frequency_hz marker position_mm shape shape_out_of_phase shape_sd "
+    "curvature_1_m2 curvature_sd_1_m2"
+)
+
+
+def unit_shape(mode: IdentifiedMode) -> ComplexArray:
+    """Shape with a largest modulus of 1, rotated so that the sum of squares of its imaginary part is smallest."""
+    return in_phase(mode.shape) / mode.amplitude
+
+
+def curvature(
+    recording: RecordingResult, mode: IdentifiedMode, beam: BeamResult | None, at_mm: FloatArray | None = None
+) -> Curvature | NoCurvature:
+    """Curvature of `unit_shape` in 1/m^2, at the markers or at other distances from the clamp.
+
+    Relative to an amplitude: times that of the mode in m, it is the curvature of the beam in 1/m.
+    """
+    identified, tracks = recording.identified, recording.tracks
+    if identified is None or beam is None:
+        return NoCurvature("the free length of the beam is unknown: give it in [beam]")
+    return beam_curvature(
+        identified.series.positions_mm,
+        unit_shape(mode),
+        mode.shape_sd / mode.amplitude,
+        1e3 * beam.standard.length_m,
+        at_mm,
+        tracks.ends_sd_mm if isinstance(tracks, MarkerTracks) else None,
+    )
+
+
+def shape_rows(result: RunResult) -> Iterator[dict[str, Any]]:
+    """One row for each mode and marker of known position; NaN where there is no curvature."""
+    for recording in result.recordings:
+        if recording.identified is None:
+            continue
+        series = recording.identified.series
+        for mode in recording.identified.modes:
+            shape, found = unit_shape(mode), curvature(recording, mode, result.beam)
+            unknown = np.full(shape.size, np.nan)
+            value, sd = (unknown, unknown) if isinstance(found, NoCurvature) else (found.value, found.sd)
+            for k in np.flatnonzero(np.isfinite(series.positions_mm) & np.isfinite(shape)):
+                yield {
+                    "recording": recording.name,
+                    "mode": mode.number,
+                    "frequency_hz": mode.frequency_hz,
+                    "marker": series.channels[k],
+                    "position_mm": series.positions_mm[k],
+                    "shape": shape[k].real,
+                    "shape_out_of_phase": shape[k].imag,
+                    "shape_sd": mode.shape_sd[k] / mode.amplitude,
+                    "curvature_1_m2": value[k],
+                    "curvature_sd_1_m2": sd[k],
+                }
+
+
+SHAPES = table_writer(
+    "shapes",
+    "mode shapes and their curvature, one row per recording, mode and marker of known position",
+    shape_rows,
+    COLUMNS,
+)

@@ -1,9 +1,0 @@
-from .board import board_page as board_page
-from .board import parse_squares as parse_squares
-from .calibrate_lens import calibrate_folder as calibrate_folder
-from .calibrate_lens import lines as lines
-from .calibrate_lens import write_lens as write_lens
-from .markers import aruco_pages as aruco_pages
-from .markers import dot_pages as dot_pages
-from .markers import parse_ids as parse_ids
-from .sheet import save_pages as save_pages
