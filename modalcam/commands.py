@@ -26,7 +26,6 @@ from modalcam.config import (
 )
 from modalcam.inputs import Discovery, Selection, discover
 from modalcam.pipeline import (
-    MEASURED,
     Cache,
     Context,
     Limits,
@@ -44,6 +43,7 @@ from modalcam.pipeline import (
     file_sha256,
     load_recording,
     load_run,
+    measured_files,
     stage_key,
     worker_pool,
 )
@@ -213,13 +213,15 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
     config = record.config if options.config is None else load_config(options.config)
     record = replace(record, config=config, seed=options.seed, key="")
     with _context(config, options, progress, inputs=None) as context:
-        recordings = tuple(load_recording(workspace, record, source, MEASURED) for source in record.sources)
+        recordings = tuple(
+            load_recording(workspace, record, source, measured_files()) for source in record.sources
+        )
         for recording in recordings:
             if recording.identification is None and not recording.failure:
                 msg = f"{options.out}: no saved identification of {recording.name}; run again with `modalcam run`"
                 raise InputError(msg)
             kept = record.results.get(recording.name, {})
-            context.results[recording.name] = {name: kept[name] for name in MEASURED if name in kept}
+            context.results[recording.name] = {name: kept[name] for name in measured_files() if name in kept}
         yield context, record, Measured(recordings, beam_theory(context))
 
 
@@ -402,9 +404,9 @@ def _write_files(
     from modalcam.pipeline import write_text  # noqa: PLC0415
     from modalcam.report import (  # noqa: PLC0415
         build_report,
+        compiled_templates,
         draw_figures,
     )
-    from modalcam.report.style import compiled_templates  # noqa: PLC0415
     from modalcam.tables import Output, outputs, with_missing_formats  # noqa: PLC0415
 
     figures = Cache(workspace.figures)

@@ -1,5 +1,6 @@
 from .app import app as app
 from .app import main as main
+from .command import register_command as register_command
 from .options import CONFIG_HELP as CONFIG_HELP
 from .options import PIPELINE as PIPELINE
 from .options import Jobs as Jobs

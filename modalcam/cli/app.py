@@ -15,14 +15,9 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
-from modalcam.apps.compare import compare
-from modalcam.apps.film import demo, preview, render
-from modalcam.apps.paper import paper
-from modalcam.apps.plan import plan
-from modalcam.apps.studio import pick, studio
-from modalcam.apps.targets import calibrate, markers
+from modalcam.cli.command import COMMANDS, PANELS, Command, register_command
 from modalcam.cli.figures import figures
-from modalcam.cli.options import Command, Replace, console
+from modalcam.cli.options import Replace, console
 from modalcam.cli.probe import probe
 from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.common import (
@@ -35,6 +30,7 @@ from modalcam.common import (
     silence_readers,
 )
 from modalcam.pipeline import SINGLE_THREAD, return_large_arrays
+from modalcam.plugins import load_apps, load_entry_points
 
 
 def init(
@@ -138,14 +134,18 @@ def _main(
     pass
 
 
-# In the order in which --help lists them.
-for _commands in (
-    (run, studio, track, identify, simulate, report, figures, compare, verify),
-    (demo, render, preview, plan, paper),
-    (init, probe, pick, check_config, info, markers, calibrate),
-):
-    for _command in _commands:
-        app.command(cls=Command)(_command)
+for _command in (run, track, identify, simulate):
+    register_command(_command)
+for _command in (report, figures, verify):
+    register_command(_command, "Look at results")
+for _command in (init, probe, check_config, info):
+    register_command(_command, "Prepare")
+load_apps("cli")
+load_entry_points("modalcam.commands")
+for _panel in PANELS:
+    for _name, (_function, _of) in COMMANDS.items():
+        if _of == _panel:
+            app.command(_name, cls=Command, rich_help_panel=_panel)(_function)
 
 
 def main() -> None:

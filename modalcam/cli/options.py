@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
-from typer.core import TyperCommand
 
-from modalcam.common import ExitCode, InputError, ModalcamError, real
-from modalcam.pipeline import Limits, low_memory_limits
+from modalcam.common import ModalcamError, real
+from modalcam.pipeline import Limits
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -121,35 +120,6 @@ def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
         return with_common
 
     return decorate
-
-
-class Command(TyperCommand):
-    """Command that fills in the help of options which mirror the configuration, when it is shown.
-
-    Where the reader of standard output has closed it (`| head`), it ends quietly, with the exit code of a program that
-    SIGPIPE ends: what it was to say may have been that something failed.
-    """
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command, unless the memory it may use is too small for its libraries, which would end anywhere."""
-        if low := low_memory_limits():
-            raise InputError(low)
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            # What is still buffered is written when Python ends.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(ExitCode.CLOSED_OUTPUT) from None
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
-        for parameter in self.params:
-            key = str(getattr(parameter, "help", ""))
-            if key.startswith(CONFIG_HELP):
-                from modalcam.config import option
-
-                vars(parameter)["help"] = option(key.removeprefix(CONFIG_HELP)).short_help
-        super().format_help(ctx, formatter)
 
 
 def results_console(width: int | None = None) -> Console:

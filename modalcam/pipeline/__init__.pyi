@@ -1,12 +1,10 @@
 from . import dask as dask
 from . import pool as pool
-from .all_stages import MEASURED as MEASURED
+from .added import AddedStage as AddedStage
+from .added import UpdatedBeam as UpdatedBeam
+from .added import register_stage as register_stage
 from .all_stages import Measured as Measured
 from .all_stages import completed as completed
-from .all_stages import duplicates as duplicates
-from .all_stages import hashed as hashed
-from .all_stages import load_recording as load_recording
-from .all_stages import load_run as load_run
 from .all_stages import measure as measure
 from .all_stages import simulate as simulate
 from .atomic import replacing as replacing
@@ -72,6 +70,11 @@ from .results import BeamResult as BeamResult
 from .results import RecordingResult as RecordingResult
 from .results import RunResult as RunResult
 from .results import mode_table as mode_table
+from .saved import load_recording as load_recording
+from .saved import load_run as load_run
+from .saved import measured_files as measured_files
+from .sources import duplicates as duplicates
+from .sources import hashed as hashed
 from .stage import Context as Context
 from .stage import InputFile as InputFile
 from .stage import Stage as Stage

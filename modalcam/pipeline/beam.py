@@ -12,10 +12,10 @@ import numpy as np
 
 from modalcam.common import ConfigError
 from modalcam.config import beam_properties, updating_settings
+from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.identify import MeasuredMode, measured_modes
 from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, run_together
-from modalcam.pipeline.track import KEEPING, frames_to_keep
 from sim.beam import AncfBeam, BeamModes, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison import Candidate
 from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
@@ -145,7 +145,7 @@ def beam_theory(context: Context) -> BeamModes | str:
     return THEORY.once(context, properties=properties, highest_mode=highest)
 
 
-_CODE = ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.beam", "modalcam.pipeline.results")
+_CODE = ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.results")
 UPDATES: Stage[UpdatePart] = Stage(
     "updating the beam", "updates", _CODE, update_by, lambda _, reason: FailedUpdating(f"{reason}.")
 )
@@ -157,9 +157,9 @@ UPDATING: Stage[BeamResult | FailedUpdating] = Stage(
 def update_beam(
     context: Context, recordings: Sequence[RecordingResult], theory_modes: BeamModes | str
 ) -> tuple[BeamResult | None, tuple[str, ...], list[RecordingResult]]:
-    """Match the beam to all measured modes, and keep frames of the recordings; returns them last.
+    """Match the beam to all measured modes; returns the recordings last, with the results of stages added beside.
 
-    Sentences name what could not be done, the theory of the beam included; without it no frames are kept.
+    Sentences name what could not be done, the theory of the beam included; without it no added stage runs.
     """
     if isinstance(theory_modes, str):
         return None, (theory_modes,), list(recordings)
@@ -175,8 +175,16 @@ def update_beam(
             "seed": context.seed,
         }
         methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
-    found, frames = run_together(context, (UPDATES, methods), (KEEPING, frames_to_keep(context, recordings)))
-    recordings = KEEPING.filled(recordings, frames)
+    added = [
+        (
+            one.stage,
+            {r.name: given for r in recordings if (given := one.inputs(context, r, None)) is not None},
+        )
+        for one in added_stages("updating")
+    ]
+    found, *others = run_together(context, (UPDATES, methods), *added)
+    for (stage, _), results in zip(added, others, strict=True):
+        recordings = stage.filled(recordings, results)
     result = UPDATING.once(
         context,
         properties=properties,

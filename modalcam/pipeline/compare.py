@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from modal_id import Identification
-from modalcam.apps.film import KeptFrames, NoFootage, SimulatedFootage
-from modalcam.config import AirConfig, RecordingConfig, random_words
+from modalcam.config import AirConfig
+from modalcam.pipeline.added import AddedStage, UpdatedBeam, added_stages
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
@@ -28,10 +28,8 @@ from sim.comparison import (
     ModelDecay,
     ScoreSum,
     compare_decay,
-    obstacle,
 )
 from sim.damping import MeasuredDamping, skipped_damping_models
-from tracker import MarkerTracks
 
 
 def compare_models(
@@ -70,43 +68,10 @@ COMPARING = Stage(
 )
 
 
-def film(
-    frames: KeptFrames,
-    tracks: MarkerTracks,
-    identification: Identification,
-    properties: BeamProperties,
-    damping: MeasuredDamping,
-    recording: RecordingConfig,
-    seed: tuple[int, ...],
-) -> SimulatedFootage | NoFootage:
-    """The kept frames as the camera would have seen the updated beam under generic damping."""
-    from modalcam.apps.film import film_simulation  # noqa: PLC0415 - workers only, as above
-
-    return film_simulation(
-        frames,
-        tracks,
-        identification,
-        recording,
-        properties,
-        generic_damping(properties, damping),
-        highest_mode=max(damping.numbers),
-        rng=np.random.default_rng(seed),
-    )
-
-
-FILMING = Stage(
-    "filming the simulation",
-    "simulated",
-    ("sim", "tracker", "modalcam.apps.film", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
-    film,
-    NoFootage,
-)
-
-
 def compare_recordings(
     context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
 ) -> tuple[list[RecordingResult], tuple[str, ...]]:
-    """Compare each identified recording with simulations of the updated beam, and film it where that succeeds.
+    """Compare each identified recording with simulations of the updated beam; added stages run beside.
 
     Sentences name skipped models.
     """
@@ -126,30 +91,27 @@ def compare_recordings(
         found = recording.identified
         return {"identification": found, **common} if found is not None and found.modes else None
 
-    def filmed(recording: RecordingResult) -> Mapping[str, Any] | None:
-        found, frames = recording.identified, recording.kept_frames
-        if found is None or not isinstance(frames, KeptFrames):
-            return None
-        if obstacle(properties, found, max(measured.numbers)):
-            return None
-        return {
-            "frames": frames,
-            "tracks": recording.tracks,
-            "identification": found,
-            "properties": properties,
-            "damping": measured,
-            "recording": context.config.for_recording(recording.file),
-            "seed": (context.seed, *random_words(recording.sha256)),
-        }
-
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
-    found = each_together(context, recordings, (COMPARING, compared), (FILMING, filmed))
+    added = added_stages("simulating")
+    parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]
+    found = each_together(context, recordings, (COMPARING, compared), *parts)
+    dropped = {one.stage.file for one in added}
     for recording in found:
         if not isinstance(recording.comparison, DecayComparison):
-            context.results.get(recording.name, {}).pop(FILMING.file, None)
+            for file in dropped:
+                context.results.get(recording.name, {}).pop(file, None)
     return [
-        r if isinstance(r.comparison, DecayComparison) else replace(r, simulated_footage=None) for r in found
+        r
+        if isinstance(r.comparison, DecayComparison)
+        else replace(r, added={file: value for file, value in r.added.items() if file not in dropped})
+        for r in found
     ], skipped
+
+
+def _inputs(
+    added: AddedStage, context: Context, beam: UpdatedBeam, recording: RecordingResult
+) -> Mapping[str, Any] | None:
+    return added.inputs(context, recording, beam)
 
 
 @dataclass(frozen=True)

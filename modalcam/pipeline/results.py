@@ -5,7 +5,7 @@ The classes of the single results are imported when they are needed only: a run 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -16,19 +16,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modal_id import FailedIdentification, Identification
-    from modalcam.apps.film import KeptFrames, NoFootage, SimulatedFootage
     from sim.beam import BeamModes, BeamProperties
     from sim.comparison import DecayComparison, FailedComparison
     from sim.updating import Updating
     from tracker import DisplacementSeries, FailedTracking, MarkerTracks
 
-# Name of each stage's file and the field of a recording that its result fills.
+# Name of the file of each stage of the core and the field of a recording that its result fills.
 STAGE_FIELDS = {
     "tracks": "tracks",
     "modes": "identification",
-    "frames": "kept_frames",
     "comparison": "comparison",
-    "simulated": "simulated_footage",
 }
 # Name of the saved results of a run as a whole; names of recordings never begin with a dot.
 RUN = ".beam"
@@ -48,8 +45,10 @@ class RecordingResult:
         Of the file's bytes; empty if it could not be read.
     mode : int or None
         The mode that was excited, as configured.
-    tracks, series, identification, comparison, kept_frames, simulated_footage :
+    tracks, series, identification, comparison :
         Results of the stages; a failure is a falsy value with its reason.
+    added : mapping of str to result
+        Those of the stages that apps and plugins add, by the name of the stage's file.
     path : Path or None
         Where the recording is; None for a series, and for a result read from OUT.
     """
@@ -62,8 +61,7 @@ class RecordingResult:
     series: DisplacementSeries | None = None
     identification: Identification | FailedIdentification | None = None
     comparison: DecayComparison | FailedComparison | None = None
-    kept_frames: KeptFrames | NoFootage | None = None
-    simulated_footage: SimulatedFootage | NoFootage | None = None
+    added: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = field(default=None, compare=False)
 
     @property

@@ -85,8 +85,17 @@ class Stage(Generic[Result]):
         self, recordings: Iterable[RecordingResult], results: Mapping[str, Any]
     ) -> list[RecordingResult]:
         """The recordings with the results of this stage that are given by name."""
-        new: dict[str, Any] = {name: {STAGE_FIELDS[self.file]: value} for name, value in results.items()}
-        return [replace(r, **new.get(r.name, {})) for r in recordings]
+        key = STAGE_FIELDS.get(self.file)
+
+        def fill(recording: RecordingResult) -> RecordingResult:
+            if recording.name not in results:
+                return recording
+            value = results[recording.name]
+            if key is None:
+                return replace(recording, added={**recording.added, self.file: value})
+            return replace(recording, **{key: value})
+
+        return [fill(recording) for recording in recordings]
 
     def prepared(
         self, context: Context, inputs: Mapping[str, Mapping[str, Any]], reused: Callable[..., None]

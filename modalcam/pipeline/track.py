@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modal_id import FailedIdentification, Identification
-from modalcam.apps.film import KeptFrames, NoFootage
+from modal_id import FailedIdentification
 from modalcam.common import InputError, shown
 from modalcam.config import RecordingConfig, tracker_settings
 from modalcam.inputs import (
@@ -46,17 +45,7 @@ def track_recording(
     return track(path, settings, recording=recording, progress=progress)
 
 
-def keep_recorded(
-    path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
-) -> KeptFrames | NoFootage:
-    """As `modalcam.apps.film.footage.read_kept_frames`."""
-    from modalcam.apps.film import read_kept_frames  # noqa: PLC0415 - as above
-
-    return read_kept_frames(path, tracks, found, size_mm)
-
-
 TRACKING = Stage("tracking", "tracks", ("tracker",), track_recording, FailedTracking, counts_frames=True)
-KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.apps.film"), keep_recorded, NoFootage)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
@@ -87,20 +76,6 @@ def with_displacement(recording: RecordingResult) -> RecordingResult:
         except ValueError as error:
             reason = str(error)
     return replace(recording, identification=FailedIdentification(tracks.recording, reason))
-
-
-def frames_to_keep(context: Context, recordings: Sequence[RecordingResult]) -> dict[str, Mapping[str, Any]]:
-    """Inputs of `KEEPING` for each identified recording."""
-
-    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
-        tracks, found = recording.tracks, recording.identified
-        if recording.path is None or found is None or not found.modes or not isinstance(tracks, MarkerTracks):
-            return None
-        size_mm = context.config.for_recording(recording.file).size_mm
-        source = InputFile(recording.path, recording.sha256)
-        return {"path": source, "tracks": tracks, "found": found, "size_mm": size_mm}
-
-    return {r.name: given for r in recordings if (given := inputs(r)) is not None}
 
 
 def motion_of(

@@ -1,5 +1,6 @@
 from .build import Plots as Plots
 from .build import build_report as build_report
+from .build import compiled_templates as compiled_templates
 from .build import draw_figures as draw_figures
 from .build import report_terms as report_terms
 from .figure_files import write_figures as write_figures

@@ -14,6 +14,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import jinja2
+
 from modalcam.pipeline import (
     Cache,
     Progress,
@@ -26,10 +28,9 @@ from modalcam.pipeline import (
 )
 from modalcam.report.figures import FIGURES, FigureKind, Place, RecordingSubject, figures_of, shown_in
 from modalcam.report.sections import (
-    CLOSE_UP_SHOWN_PX,
     MOST_PLACES,
     R_HAT_LIMIT,
-    SHOWN_PER_S,
+    SECTIONS,
     alerts,
     detail_for,
     findings,
@@ -116,10 +117,22 @@ def build_report(
         "flag_meanings": {name: text for name, text in flag_meanings().items() if name not in explained},
         "explained": sorted(explained),
         "r_hat_limit": R_HAT_LIMIT,
-        "shown_per_s": SHOWN_PER_S,
-        "close_up_px": CLOSE_UP_SHOWN_PX,
+        "sections": list(SECTIONS.values()),
     }
-    return unbroken(environment().get_template("report.html.j2").render(page))
+    return unbroken(_templates().get_template("report.html.j2").render(page))
+
+
+def _templates() -> jinja2.Environment:
+    """Templates of the report and of the sections that are added."""
+    return environment(*dict.fromkeys((section.package, "templates") for section in SECTIONS.values()))
+
+
+def compiled_templates() -> Iterator[str]:
+    """Compile one template of the report after the other, which takes a third of a second for all."""
+    templates = _templates()
+    for name in templates.list_templates(filter_func=lambda name: name.endswith((".j2", ".css"))):
+        templates.get_template(name)
+        yield name
 
 
 def shown_figures(result: RunResult) -> Iterator[tuple[FigureKind[Any], Any]]:

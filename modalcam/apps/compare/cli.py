@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli import Replace, results_console
+from modalcam.cli import Replace, register_command, results_console
 from modalcam.common import check_new, shown
 
 
@@ -42,3 +42,6 @@ def compare(
     if to is not None:
         write_files(comparison, to)
         typer.echo(shown(str(to / FILES[-1])))
+
+
+register_command(compare, "Look at results")

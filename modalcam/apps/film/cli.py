@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modalcam.cli import Replace, Seed, Verbose, compute, console, run_options, takes
+from modalcam.cli import Replace, Seed, Verbose, compute, console, register_command, run_options, takes
 from modalcam.common import InputError, ModalcamError, check_new, shown
 
 if TYPE_CHECKING:
@@ -160,3 +160,8 @@ def preview(
         raise ModalcamError(msg)
     write_film(out, made, mode_name(picked))
     typer.echo(f"{out}: motion x {made.factor:g}")
+
+
+register_command(demo, "Simulated films")
+register_command(render, "Simulated films")
+register_command(preview, "Look at results")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli import PIPELINE, Json, Out, Verbose, console, run_options, takes
+from modalcam.cli import PIPELINE, Json, Out, Verbose, console, register_command, run_options, takes
 
 
 @takes(*PIPELINE)
@@ -38,3 +38,6 @@ def paper(
     code = problems(console(), summary, result.internal_errors)
     typer.echo(json.dumps(numbers(page), indent=1) if json_ else shown(str(out / "paper.html")))
     raise typer.Exit(code)
+
+
+register_command(paper, "Look at results")

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli import Jobs, Replace, Seed, Verbose, console, results_console
+from modalcam.cli import Jobs, Replace, Seed, Verbose, console, register_command, results_console
 from modalcam.common import check_new
 
 
@@ -47,3 +47,6 @@ def plan(
     if out is not None:
         write_text(out, plan_html(made))
         typer.echo(str(out))
+
+
+register_command(plan, "Prepare")

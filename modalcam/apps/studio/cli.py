@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli import NamedOut, results_folder
+from modalcam.cli import NamedOut, register_command, results_folder
 from modalcam.common import InputError, ModalcamError, for_terminal, shown
 
 NoBrowser = Annotated[
@@ -75,3 +75,7 @@ def _check_installed() -> None:
     except ImportError as error:
         msg = f"the studio needs the package {error.name}; install it with `pip install 'modalcam[studio]'`"
         raise ModalcamError(msg) from None
+
+
+register_command(studio)
+register_command(pick, "Prepare")

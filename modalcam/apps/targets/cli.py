@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli import Replace
+from modalcam.cli import Replace, register_command
 from modalcam.common import check_new
 
 Dictionary = Annotated[str, typer.Option(help="ArUco dictionary of OpenCV.")]
@@ -79,3 +79,7 @@ def calibrate(
     write_lens(out, found)
     for line in lines(found):
         typer.echo(line)
+
+
+register_command(markers, "Prepare")
+register_command(calibrate, "Prepare")

@@ -4,9 +4,7 @@ from .alerts import alerts as alerts
 from .alerts import flag_meanings as flag_meanings
 from .comparison import findings as findings
 from .comparison import worst_ratios as worst_ratios
-from .images import CLOSE_UP_SHOWN_PX as CLOSE_UP_SHOWN_PX
-from .images import SHOWN_PER_S as SHOWN_PER_S
-from .images import film as film
+from .images import data_uri as data_uri
 from .images import first_frame as first_frame
 from .images import strip as strip
 from .recording import AMPLITUDE as AMPLITUDE
@@ -15,5 +13,8 @@ from .recording import Detail as Detail
 from .recording import detail_for as detail_for
 from .recording import moving_shape as moving_shape
 from .recording import recording_view as recording_view
+from .section import SECTIONS as SECTIONS
+from .section import Section as Section
+from .section import register_section as register_section
 from .updating import updating_numbers as updating_numbers
 from .updating import updating_rows as updating_rows

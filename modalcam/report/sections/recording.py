@@ -5,7 +5,6 @@ Mode shapes in motion: each between its extremes, by the style sheet alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,11 +12,11 @@ import numpy as np
 
 from modal_id import Identification, IdentifiedMode, ModeFlag, Segment
 from modal_id.modes import mpc
-from modalcam.apps.film import ExaggeratedFilm, KeptFrames, NoFootage, SimulatedFootage, exaggerated_film
-from modalcam.pipeline import Cache, RecordingResult, Value, code_sha256, digest
+from modalcam.pipeline import Cache, RecordingResult
 from modalcam.report.figures import MOST_POINTS, RecordingSubject, figures_of, shape_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
-from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
+from modalcam.report.sections.images import first_frame, named_among, strip
+from modalcam.report.sections.section import SECTIONS, Section
 from modalcam.report.signals import main_modes, nrmse_of_fit, shown_mode
 from modalcam.report.style import mode_name, sentence
 from sim.beam import BeamModes
@@ -140,10 +139,7 @@ def recording_view(
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
         "moving": moving_shape(subject) if detail.figures else None,
-        "film": _film(recording, cache) if detail.diagnostics else None,
-        "exaggerated": _exaggerated(tracks, found, mode, cache)
-        if tracks and found and mode and detail.diagnostics
-        else None,
+        "sections": _sections(recording, cache) if detail.diagnostics else [],
     }
 
 
@@ -156,27 +152,10 @@ def _segments(found: Identification) -> list[tuple[Segment, str]]:
     return out
 
 
-def _film(recording: RecordingResult, cache: Cache | None) -> dict[str, Any] | None:
-    kept, simulated = recording.kept_frames, recording.simulated_footage
-    if not isinstance(kept, KeptFrames) or not isinstance(simulated, SimulatedFootage):
-        return None
-    key = ("film", code_sha256(film.__module__), kept, simulated)
-    return _kept(cache, key, lambda: film(kept, simulated)) | {"footage": simulated}
-
-
-def _kept(cache: Cache | None, key: tuple[object, ...], make: Callable[[], Value]) -> Value:
-    return make() if cache is None else cache.cached(digest(key), make)
-
-
-def _exaggerated(
-    tracks: MarkerTracks, found: Identification, mode: IdentifiedMode, cache: Cache | None
-) -> dict[str, Any]:
-    def make() -> dict[str, Any]:
-        made = exaggerated_film(tracks, found, mode)
-        return exaggerated(made) if isinstance(made, ExaggeratedFilm) else {}
-
-    key = ("exaggerated", code_sha256(exaggerated_film.__module__, exaggerated.__module__), tracks, mode)
-    return _kept(cache, key, make) if tracks.kind == "line" else {}
+def _sections(recording: RecordingResult, cache: Cache | None) -> list[tuple[Section, dict[str, Any]]]:
+    """Sections that apps and plugins add, each with its variables."""
+    views = ((section, section.variables(recording, cache)) for section in SECTIONS.values())
+    return [(section, view) for section, view in views if view is not None]
 
 
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
@@ -240,7 +219,6 @@ def _notes(recording: RecordingResult) -> list[str]:
         notes += [f"{DAMPING_MODELS[d.model].label}: {sentence(d.note)}" for d in comparison.models if d.note]
     if isinstance(comparison, FailedComparison):
         notes.append(f"The decay was not simulated: {sentence(comparison.reason)}")
-    for missing in (recording.kept_frames, recording.simulated_footage):
-        if isinstance(missing, NoFootage):
-            notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
+    for section in SECTIONS.values():
+        notes += () if section.notes is None else section.notes(recording)
     return list(dict.fromkeys(sentence(note) for note in notes if note))

@@ -29,7 +29,6 @@ from .svg import inline as inline
 from .text import MISSING as MISSING
 from .text import channel_label as channel_label
 from .text import command as command
-from .text import compiled_templates as compiled_templates
 from .text import count as count
 from .text import decimals_of as decimals_of
 from .text import environment as environment
