@@ -24,7 +24,7 @@ from modalcam.config import (
     parse_recording,
     raw_config,
 )
-from modalcam.inputs import Discovery, Selection, discover
+from modalcam.inputs import Discovery, Selection, discover, motion_of
 from modalcam.pipeline import (
     Cache,
     Context,
@@ -174,7 +174,6 @@ def identify(
     from modalcam.pipeline import (  # noqa: PLC0415
         compile_for,
         measure,
-        motion_of,
     )
 
     load_plugins(options.plugins)

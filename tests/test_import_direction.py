@@ -6,10 +6,17 @@ from functools import cache
 import pytest
 from support.paths import ROOT
 
-# What each package may import of the others: prefixes of module names.
+# What each package may import of the others: prefixes of the names of the modules that define it.
 PACKAGES = {
     "tracker": (),
-    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base", "tracker.flags"),
+    "modal_id": (
+        "tracker.results",
+        "tracker.position_errors",
+        "tracker.scale_change",
+        "tracker.arrays",
+        "tracker.settings_base",
+        "tracker.flags",
+    ),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
@@ -17,14 +24,12 @@ PACKAGES = {
 ORDER = {
     "tracker": (
         "arrays",
-        "severity",
         "flags",
         "settings_base",
         "video",
         "geometry",
         "position_errors",
         "vibration_direction",
-        "slow_motion",
         "scale_change",
         "results",
         "template",
@@ -33,8 +38,6 @@ ORDER = {
         "settings",
         "register",
         "follow",
-        "assemble",
-        "losses",
         "displacement",
         "track",
         "compile",
@@ -60,30 +63,21 @@ ORDER = {
     ),
     "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render", "compile"),
     "modalcam": (
-        "errors",
-        "names",
-        "files",
+        "common",
         "plugins",
         "config",
-        "storage",
-        "execution",
-        "inputs",
-        "video",
         "pipeline",
-        "export",
+        "inputs",
+        "tables",
         "report",
-        "targets",
-        "between_runs",
-        "planning",
-        "paper",
         "commands",
-        "render",
         "console",
         "api",
-        "studio",
         "cli",
+        "apps",
     ),
-    "modalcam.report": ("style", "derived", "figures", "figure_files", "sections", "build", "drawing"),
+    "modalcam.apps": ("film", "targets", "compare", "plan", "paper", "studio"),
+    "modalcam.report": ("style", "signals", "figures", "figure_files", "sections", "build"),
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
@@ -107,8 +101,39 @@ def imported(path):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import; write the full name"
-            names += [f"{node.module}.{alias.name}" for alias in node.names]
+            names += [defined(node.module, alias.name) for alias in node.names]
     return tuple(names)
+
+
+@cache
+def door(folder):
+    """Names that a folder re-exports, each with the module that defines it."""
+    stub = ROOT / folder.replace(".", "/") / "__init__.pyi"
+    if not stub.is_file():
+        return {}
+    nodes = ast.walk(ast.parse(stub.read_text(encoding="utf-8")))
+    found = [(n.module, a.name) for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names]
+    return {name: f"{folder}.{module}" if module else folder for module, name in found}
+
+
+def defined(module, name):
+    """Full name of what is imported from a module, or through the door of a folder."""
+    return f"{door(module).get(name, module)}.{name}"
+
+
+def past_the_door(importer, module):
+    """Whether a module that belongs to another folder is imported by its own name.
+
+    A folder's own files and those of the folders around it are imported by name, and those of `modalcam` itself, whose
+    door is the public API.
+    """
+    path = ROOT / module.replace(".", "/")
+    top = module.split(".")[0]
+    if top not in PACKAGES or path.is_dir() or "." not in module:
+        return False
+    folder = module.rpartition(".")[0]
+    own = ".".join(importer.relative_to(ROOT).parent.parts)
+    return folder != "modalcam" and not f"{own}.".startswith(f"{folder}.")
 
 
 def files(folder):
@@ -157,6 +182,22 @@ def test_folders_import_only_earlier_folders(package):
         own = [n[len(package) + 1 :] for n in imported(path) if f"{n}.".startswith(f"{package}.")]
         wrong += [f"{path.relative_to(ROOT)}: {name}" for name in own if upward(order, source, name)]
     assert not wrong, f"the order is {order}; found " + "; ".join(wrong)
+
+
+@pytest.mark.parametrize("folder", [*PACKAGES, *SCRIPTS, "tests"])
+def test_other_folders_are_entered_through_their_doors(folder):
+    wrong = []
+    for path in files(folder):
+        nodes = [
+            n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)
+        ]
+        wrong += [
+            f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
+            for node in nodes
+            for alias in node.names
+            if past_the_door(path, node.module) and not alias.name.startswith("_")
+        ]
+    assert not wrong, "import from the folder, not from its file: " + "; ".join(wrong)
 
 
 @pytest.mark.parametrize("folder", SCRIPTS)

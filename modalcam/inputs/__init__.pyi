@@ -7,6 +7,7 @@ from .folder import discover as discover
 from .folder import probe_folder as probe_folder
 from .folder import probe_recordings as probe_recordings
 from .folder import starter_config as starter_config
+from .motion_of import motion_of as motion_of
 from .series import is_tracks as is_tracks
 from .series import series_from_table as series_from_table
 from .series import tracks_from_table as tracks_from_table

@@ -79,5 +79,4 @@ from .stage import Context as Context
 from .stage import InputFile as InputFile
 from .stage import Stage as Stage
 from .stage import run_together as run_together
-from .track import motion_of as motion_of
 from .track import track_recordings as track_recordings

@@ -161,8 +161,9 @@ def update_beam(
 
     Sentences name what could not be done, the theory of the beam included; without it no added stage runs.
     """
+    recordings = list(recordings)
     if isinstance(theory_modes, str):
-        return None, (theory_modes,), list(recordings)
+        return None, (theory_modes,), recordings
     properties, settings = theory_modes.beam.properties, updating_settings(context.config.updating)
     usable = usable_modes(measured_modes(recordings), theory_modes)
     methods: dict[str, dict[str, Any]] = {}

@@ -36,7 +36,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
     with opened(options, progress) as (context, _, measured):
         recordings = measured.recordings
         recording = chosen_recording(recordings, name, options.out)
-        found, tracks, footage = recording.identification, recording.tracks, recording.kept_frames
+        found, tracks, footage = recording.identification, recording.tracks, recording.added.get("frames")
         if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
             msg = f"{recording.name}: {recording.failure or 'it was not recorded with a camera'}"
             raise ModalcamError(msg)
