@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
-from modalcam.cli.command import COMMANDS, PANELS, Command, register_command
+from modalcam.cli.command import COMMANDS, Command, register_command
 from modalcam.cli.figures import figures
 from modalcam.cli.options import Replace, console
 from modalcam.cli.probe import probe
@@ -134,18 +134,12 @@ def _main(
     pass
 
 
-for _command in (run, track, identify, simulate):
+for _command in (run, track, identify, simulate, report, figures, verify, init, probe, check_config, info):
     register_command(_command)
-for _command in (report, figures, verify):
-    register_command(_command, "Look at results")
-for _command in (init, probe, check_config, info):
-    register_command(_command, "Prepare")
 load_apps("cli")
 load_entry_points("modalcam.commands")
-for _panel in PANELS:
-    for _name, (_function, _of) in COMMANDS.items():
-        if _of == _panel:
-            app.command(_name, cls=Command, rich_help_panel=_panel)(_function)
+for _name, _function in COMMANDS.items():
+    app.command(_name, cls=Command)(_function)
 
 
 def main() -> None:

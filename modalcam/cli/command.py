@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import typer
 from typer.core import TyperCommand
@@ -14,20 +14,17 @@ from modalcam.cli.options import CONFIG_HELP
 from modalcam.common import ExitCode, InputError
 from modalcam.pipeline import low_memory_limits
 
-# Headings of --help, in this order.
-Panel = Literal["Measure", "Look at results", "Prepare", "Simulated films"]
-PANELS: tuple[Panel, ...] = ("Measure", "Look at results", "Prepare", "Simulated films")
-# By name: the function and its heading.
-COMMANDS: dict[str, tuple[Callable[..., None], Panel]] = {}
+# By name, in the order of --help.
+COMMANDS: dict[str, Callable[..., None]] = {}
 
 
-def register_command(function: Callable[..., None], panel: Panel = "Measure") -> None:
+def register_command(function: Callable[..., None]) -> None:
     """Add a command: a function as typer takes it, whose name and docstring are those of the command.
 
     ``check_config`` becomes ``check-config``. The name must be new; ValueError otherwise.
     """
     name = function.__name__.replace("_", "-")
-    if COMMANDS.setdefault(name, (function, panel))[0] is not function:
+    if COMMANDS.setdefault(name, function) is not function:
         msg = f"a command named {name!r} is registered already; choose another name"
         raise ValueError(msg)
 

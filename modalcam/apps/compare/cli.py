@@ -44,4 +44,4 @@ def compare(
         typer.echo(shown(str(to / FILES[-1])))
 
 
-register_command(compare, "Look at results")
+register_command(compare)

@@ -162,6 +162,6 @@ def preview(
     typer.echo(f"{out}: motion x {made.factor:g}")
 
 
-register_command(demo, "Simulated films")
-register_command(render, "Simulated films")
-register_command(preview, "Look at results")
+register_command(demo)
+register_command(render)
+register_command(preview)

@@ -40,4 +40,4 @@ def paper(
     raise typer.Exit(code)
 
 
-register_command(paper, "Look at results")
+register_command(paper)

@@ -49,4 +49,4 @@ def plan(
         typer.echo(str(out))
 
 
-register_command(plan, "Prepare")
+register_command(plan)

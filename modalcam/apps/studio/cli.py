@@ -78,4 +78,4 @@ def _check_installed() -> None:
 
 
 register_command(studio)
-register_command(pick, "Prepare")
+register_command(pick)

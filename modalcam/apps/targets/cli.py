@@ -81,5 +81,5 @@ def calibrate(
         typer.echo(line)
 
 
-register_command(markers, "Prepare")
-register_command(calibrate, "Prepare")
+register_command(markers)
+register_command(calibrate)

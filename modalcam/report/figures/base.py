@@ -108,7 +108,7 @@ class FigureKind(Generic[Shown]):
     def cache_key(self, shown: Shown) -> str:
         """Hash of all that determines the drawing: results, size, colours, drawing code, version of matplotlib."""
         package = "modalcam.report"
-        modules = (f"{package}.style", f"{package}.derived", self.draw.__module__)
+        modules = (f"{package}.style", f"{package}.signals", self.draw.__module__)
         size = (self.height_in, self.width_in)
         return digest((self.key, size, variables(), code_sha256(*modules), _matplotlib_version(), shown))
 
