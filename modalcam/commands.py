@@ -24,7 +24,7 @@ from modalcam.config import (
     parse_recording,
     raw_config,
 )
-from modalcam.inputs import Discovery, Selection, discover, motion_of
+from modalcam.inputs import Discovery, Selection, discover
 from modalcam.pipeline import (
     Cache,
     Context,
@@ -171,6 +171,7 @@ def identify(
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
     """
+    from modalcam.inputs import motion_of  # noqa: PLC0415
     from modalcam.pipeline import (  # noqa: PLC0415
         compile_for,
         measure,

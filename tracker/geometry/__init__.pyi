@@ -1,7 +1,7 @@
-from .lens import Board as Board
+from .charuco import Board as Board
+from .charuco import LensCalibration as LensCalibration
+from .charuco import calibrate_lens as calibrate_lens
 from .lens import Lens as Lens
-from .lens import LensCalibration as LensCalibration
-from .lens import calibrate_lens as calibrate_lens
 from .lens import undistort as undistort
 from .lens import undistortion_jacobian as undistortion_jacobian
 from .plane import PlaneMap as PlaneMap
