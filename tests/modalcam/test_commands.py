@@ -42,6 +42,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 PAUSES = """
 import os
 import pathlib
+import sys
 import time
 
 import modal_id.identify
@@ -56,8 +57,8 @@ def paused(module, name):
         return function(*args, **kwargs)
     setattr(module, name, wait)
 
-paused(tracker.track, "track_source")
-paused(modal_id.identify, "identify")
+paused(sys.modules["tracker.track"], "track_source")
+paused(sys.modules["modal_id.identify"], "identify")
 """
 
 
@@ -224,7 +225,7 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     assert list(table.columns) == list(rows[0])
     assert [f"{value!r}" for value in table["frequency_hz"]] == [row["frequency_hz"] for row in rows]
     assert [recording.name for recording in result.recordings] == ["a", "b"]
-    assert all(r.tracks and r.comparison and r.simulated_footage for r in result.recordings)
+    assert all(r.tracks and r.comparison and r.added["simulated"] for r in result.recordings)
     assert result.beam.updated is not None
 
 

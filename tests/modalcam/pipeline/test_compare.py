@@ -84,15 +84,15 @@ def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
         for one in recordings:
             context.results[one.name] = {"comparison": "key", "simulated": "key"}
         return [
-            replace(one, comparison=ends[one.name], simulated_footage=NoFootage(one.name, ""))
+            replace(one, comparison=ends[one.name], added={"simulated": NoFootage(one.name, "")})
             for one in recordings
         ]
 
     monkeypatch.setattr("modalcam.pipeline.compare.each_together", both)
     context = Context(ExperimentConfig(), Workspace(tmp_path), None, None, seed=0, force=False)
     (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result(elements=6))
-    assert kept.simulated_footage is not None
-    assert dropped.simulated_footage is None
+    assert "simulated" in kept.added
+    assert "simulated" not in dropped.added
     assert context.results == {
         recording.name: {"comparison": "key", "simulated": "key"},
         "other": {"comparison": "key"},

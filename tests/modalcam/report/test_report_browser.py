@@ -312,7 +312,7 @@ def filmed_page(build):
     time_s = 1.0 + np.arange(10) / 200.0
     footage = KeptFrames("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
     film = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
-    recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=film)
+    recording = RecordingResult("take", "take.avi", "0" * 64, 1, added={"frames": footage, "simulated": film})
     return build(runs.run_result((recording,)))
 
 

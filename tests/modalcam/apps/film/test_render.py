@@ -29,7 +29,7 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path, monkey
     options = Options(tmp_path / "out")
     (recording,) = load_run(options.out).recordings
     found = recording.identification
-    assert isinstance(recording.simulated_footage, SimulatedFootage)
+    assert isinstance(recording.added["simulated"], SimulatedFootage)
 
     path = tmp_path / "simulated.avi"
     count = film_run(options, None, path, Progress())
