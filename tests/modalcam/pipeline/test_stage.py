@@ -158,7 +158,7 @@ def test_a_change_of_any_input_computes_the_result_again(context, tmp_path, monk
     if change == "content":
         given = inputs(tmp_path, recording=InputFile(tmp_path / "a.avi", "01"))
     elif change == "code":
-        stage = Stage("scaling", "scaled", ("modalcam.common",), scaled, FailedTracking)
+        stage = Stage("scaling", "scaled", ("modalcam.plugins",), scaled, FailedTracking)
     elif change == "plugin":
         monkeypatch.setitem(plugins._LOADED, "a_plugin", "0" * 64)
     else:
