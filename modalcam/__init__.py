@@ -63,7 +63,7 @@ _SOURCES = {
     "RayleighDamping": ("sim.damping.models", "RayleighDamping"),
     "simulate": ("sim.dynamics.excitation", "simulate_free_decay"),
     "run": ("modalcam.api", "run"),
-    "load_run": ("modalcam.pipeline.all_stages", "load_run"),
+    "load_run": ("modalcam.pipeline.saved", "load_run"),
     "plan": ("modalcam.apps.plan.plan", "plan"),
     "TrackingError": ("modalcam.common", "TrackingError"),
     "IdentificationError": ("modalcam.common", "IdentificationError"),
