@@ -23,19 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.line_scenes import mode_shape
-from modal_id.identify import identify
-from modal_id.results import IdentifiedMode
-from modal_id.settings import IdentifySettings
-from sim.render.camera import Camera
-from sim.render.frames import render_frames
-from sim.render.markers import ArucoMarker, DotMarker, Marker
-from sim.render.motion import SampledMotion
-from sim.render.scene import Scene
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.results import DecodeReport, MarkerTracks, TimeAxis
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifiedMode, IdentifySettings, identify
+from sim.render import (
+    ArucoMarker,
+    Camera,
+    DotMarker,
+    Marker,
+    SampledMotion,
+    Scene,
+    render_frames,
+    write_video,
+)
+from tracker import DecodeReport, MarkerTracks, TimeAxis, TrackerSettings, displacement_series, track
 
 Array = NDArray[np.float64]
 # With right intervals, 0.5 % of the answers have a frequency or a damping ratio beyond this many sd.

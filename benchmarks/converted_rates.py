@@ -23,20 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.camera_motion import CameraCase
-from modal_id.identify import identify
-from modal_id.modes.converted_rate import any_variance_cost, least_gain
-from modal_id.modes.frame_clock import Clock, DecayRecord, Kind
-from modal_id.settings import IdentifySettings
-from sim.render.camera import Camera
-from sim.render.frames import render_frames
-from sim.render.markers import DotMarker
-from sim.render.motion import SampledMotion
-from sim.render.scene import Scene
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.results import DisplacementSeries, MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modal_id.modes import Clock, DecayRecord, Kind, any_variance_cost, least_gain
+from sim.render import Camera, DotMarker, SampledMotion, Scene, render_frames, write_video
+from tracker import DisplacementSeries, MarkerTracks, TrackerSettings, displacement_series, track
 
 Array = NDArray[np.float64]
 LIMIT_SD = 3.0

@@ -17,14 +17,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from benchmarks.coverage_cases import CASES, make
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.results import FailedMode
-from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import frequency_hz
-from tracker.results import DisplacementSeries
+from modal_id import FailedMode, IdentifySettings, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.posterior import determine_mode
+from modal_id.solve import frequency_hz
+from tracker import DisplacementSeries
 
 _REACH = 8.0
 _POINTS = 129

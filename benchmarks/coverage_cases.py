@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries, FloatArray
 
 # Table 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation".
 PAPER_HZ = (1.85, 10.19, 26.84, 53.20, 88.60)

@@ -1,4 +1,4 @@
-"""Table and rank plot of the coverage study: ``python -m benchmarks.coverage_report FILE.csv ... --docs docs``.
+"""Table and rank plot of the coverage study: ``python -m benchmarks.coverage_report FILE.csv ... --docs docs/studies``.
 
 Updates the table in ``coverage.md`` and writes ``coverage.svg`` from the files written by `benchmarks.coverage`.
 """
@@ -84,7 +84,7 @@ def main() -> None:
     """Write the table and the plot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument("--docs", type=Path, default=Path("docs/studies"))
     options = parser.parse_args()
     trials = pd.concat([pd.read_csv(path) for path in options.files], ignore_index=True)
     page = options.docs / "coverage.md"

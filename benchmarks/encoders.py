@@ -22,12 +22,9 @@ import pandas as pd
 
 from benchmarks.film_scenes import FPS, SIZES_PX, Film
 from benchmarks.films import run_film
-from modal_id.solve.poles import pole
-from modalcam.storage.cache import Cache
-from tracker.arrays import FloatArray
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.track import track
+from modal_id.solve import pole
+from modalcam.pipeline import Cache
+from tracker import FailedTracking, FloatArray, MarkerTracks, displacement_series, track
 
 ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
     "defaults, 18": ("libx264", {"crf": "18"}),

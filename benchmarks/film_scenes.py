@@ -17,9 +17,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from sim.render.video import write_video
-from tracker.arrays import FloatArray, GrayImage
-from tracker.settings import TrackerSettings
+from sim.render import write_video
+from tracker import FloatArray, GrayImage, TrackerSettings
 
 FPS = 500.0
 FREQUENCY_HZ, DAMPING_RATIO = 23.7, 0.004

@@ -1,4 +1,4 @@
-"""Intervals on film: ``python -m benchmarks.films --films 12 --out films.csv``, table with ``--docs docs``.
+"""Intervals on film: ``python -m benchmarks.films --films 12 --out films.csv``, table with ``--docs docs/studies``.
 
 Each row of the file is one film: rendered without the tracker's templates, encoded, tracked and identified like a
 recording. ``--cache`` keeps the tracks, so that a change of the identification needs no new films.
@@ -19,13 +19,10 @@ import pandas as pd
 
 from benchmarks.coverage_report import BEGIN, END
 from benchmarks.film_scenes import CODECS, FPS, SIZES_PX, Film
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
-from modalcam.storage.cache import Cache
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
+from modalcam.pipeline import Cache
+from tracker import FailedTracking, MarkerTracks, displacement_series, track
 
 LEVEL = 0.9
 

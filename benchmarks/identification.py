@@ -18,9 +18,7 @@ from benchmarks.identification_cost import SIZES, costs, lines
 from benchmarks.identification_peers import PEERS, Answer, Peer, filled
 from benchmarks.identification_samplers import Sampling, naive, ours
 from benchmarks.identification_scenes import MODES, NOISE, Decay, real, synthetic
-from modal_id.identify import identify
-from modal_id.results import Identification
-from modal_id.settings import IdentifySettings
+from modal_id import Identification, IdentifySettings, identify
 
 # A damping ratio with a larger relative error counts as gross failure and is excluded from the rms.
 _GROSS = 0.5

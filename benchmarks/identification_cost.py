@@ -12,10 +12,8 @@ from multiprocessing import get_context
 import numpy as np
 
 from benchmarks.identification_peers import least_squares
-from modal_id.identify import identify
-from modal_id.results import Identification
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from modal_id import Identification, identify
+from tracker import DisplacementSeries, FloatArray
 
 SIZES = (78_000, 260_000)
 _RATE_HZ, _CHANNELS, _NOISE_SD = 4000.0, 3, 0.02

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.signal import butter, decimate, find_peaks, hilbert, sosfiltfilt
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _NORMAL_90 = 1.6448536269514722
 _NONE = (float("nan"), float("nan"))

@@ -11,10 +11,10 @@ import numpy as np
 
 from benchmarks.identification_peers import eq1_curve, filled, least_squares
 from benchmarks.identification_scenes import Decay
-from modal_id.data.prepare import Prepared, prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.posterior.mode_posterior import SampledMode, sample_mode
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings
+from modal_id.data import Prepared, prepare
+from modal_id.fit import find_modes
+from modal_id.posterior import SampledMode, sample_mode
 
 _WALKERS = 32
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.coverage_cases import SNR_DB, make
-from modal_id.posterior.cramer_rao import modal_bound
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from modal_id.posterior import modal_bound
+from tracker import DisplacementSeries, FloatArray
 
 MODES = (0, 1, 2, 3, 4)
 # Cases of the coverage study; "all together" adds drift, hum, missing samples, outliers and a neighbouring mode.

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.render.video import write_video
-from tracker.arrays import FloatArray, GrayImage
+from sim.render import write_video
+from tracker import FloatArray, GrayImage
 
 _RATE_HZ, _FREQUENCY_HZ, _NOISE_SD = 1000.0, 18.0, 0.01
 # Amplitudes lost over the whole record: it is one free decay of any length.

@@ -1,7 +1,7 @@
 """The paper's five modes of a bare strip, each in films of its own: ``python -m benchmarks.line_modes [--films 8]``.
 
 Drawn films (`benchmarks.line_scenes`) in which material points move exactly as Eq. 1 are tracked and identified like
-recordings; the table is that of docs/lines.md.
+recordings; the table is that of docs/studies/lines.md.
 """
 
 from __future__ import annotations
@@ -17,15 +17,10 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.line_scenes import CODECS, Array, LineScene, mode_shape
-from modal_id.identify import identify
-from modal_id.results import IdentifiedMode
-from modal_id.settings import IdentifySettings
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifiedMode, IdentifySettings, identify
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
+from sim.render import write_video
+from tracker import FailedTracking, MarkerTracks, TrackerSettings, displacement_series, track
 
 LENGTH_MM, LENGTH_PX, FRAMES, LEVEL = 500.0, 220.0, 400, 0.9
 # Typical amplitude of the tip of each mode; that of the large rotation is 200 mm of 500 mm.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.line_scenes import Array, LineScene
-from tracker.video.registry import open_recording
+from tracker.video import open_recording
 
 # From a film, its number of frames, points (m, 2) px in the first frame and unit normals (m, 2), both x before y, to
 # displacements along the normals (n, m).

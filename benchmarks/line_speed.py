@@ -10,10 +10,9 @@ import numpy as np
 
 from benchmarks.line_peers import PEERS, not_run
 from benchmarks.line_scenes import Array, LineScene
-from sim.render.video import write_video
-from tracker.settings import TrackerSettings
-from tracker.track import CALIBRATION_FRAMES, track
-from tracker.video.registry import open_recording
+from sim.render import write_video
+from tracker import TUNING, TrackerSettings, track
+from tracker.video import open_recording
 
 SCENE = LineScene(
     length_px=430.0, clamp_px=(300.3, 20.6), shape=(480, 640), tip_px=(8.0, 2.0), texture=3.0, dark=60.0
@@ -67,7 +66,7 @@ def _tracking_s(path: Path, settings: TrackerSettings) -> tuple[float, float, fl
     track(path, settings, progress=lambda _done, _declared: stamps.append(time.process_time()))
     whole = time.process_time() - start
     # The calibration frames, and those decoded ahead during the calibration.
-    first = 2 * CALIBRATION_FRAMES
+    first = 2 * TUNING.calibration_frames
     return stamps[0] - start, whole, (stamps[-1] - stamps[first]) / (len(stamps) - 1 - first)
 
 

@@ -1,6 +1,6 @@
 """Stations of bare strips and edges against the truth: ``python -m benchmarks.lines [--peers] [--speed] [CASE ...]``.
 
-Drawn films (`benchmarks.line_scenes`) are stored with each codec and tracked; the tables are those of docs/lines.md.
+Drawn films (`benchmarks.line_scenes`) are stored with each codec and tracked; the tables are in docs/studies/lines.md.
 ``--peers`` adds other tools at the same stations (`benchmarks.line_peers`), ``--speed`` measures the time instead
 (`benchmarks.line_speed`).
 """
@@ -19,11 +19,9 @@ import numpy as np
 from benchmarks.line_peers import PEERS, not_run, peer_errors
 from benchmarks.line_scenes import CODECS, Array, LineScene, bound_px
 from benchmarks.line_speed import speed
-from sim.render.video import write_video
-from tracker.line.calibrate import EDGE_FLANK_PX
-from tracker.results import MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.render import write_video
+from tracker import MarkerTracks, TrackerSettings, track
+from tracker.line import calibrate
 
 FRAMES, FPS = 96, 1000.0
 WIDE = {"shape": (360, 300)}
@@ -59,7 +57,7 @@ def errors(scene: LineScene, tracks: MarkerTracks) -> dict[str, float]:
         across[k] = (x[k] - points[:, 0]) * normals[:, 0] + (y[k] - points[:, 1]) * normals[:, 1]
     error = across - np.nanmean(across, axis=0)
     sd = np.hypot(tracks.sd_x_px, tracks.sd_y_px)[:, 1:-1]
-    reach = EDGE_FLANK_PX if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
+    reach = calibrate.TUNING.edge_flank_px if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
     times = range(0, FRAMES, 8) if scene.exposure else (0, FRAMES // 2)
     spacing = float(np.mean(np.diff(arc)))
     bound = float(np.sqrt(np.mean([bound_px(scene, k, arc, spacing, reach) ** 2 for k in times])))

@@ -28,8 +28,8 @@ from benchmarks.simulation_cases import (
 )
 from benchmarks.simulation_ours import base_decay, decay
 from benchmarks.simulation_peers import ExudynBeam, PeerMissingError, load
-from sim.dynamics.trajectory import State
-from tracker.arrays import FloatArray
+from sim.dynamics import State
+from tracker import FloatArray
 
 _TARGETS = (1e-2, 1e-3)
 # CPU time for repetitions of a short run

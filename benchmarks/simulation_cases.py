@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes, beam_modes
+from sim import MEASURED_DAMPING_RATIO, paper_beam
+from sim.beam import AncfBeam, BeamModes, beam_modes
 from sim.damping import GenericDamping
-from sim.dynamics.excitation import HarmonicThenStop, released_state, steady_response
-from sim.dynamics.trajectory import State
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-from tracker.arrays import FloatArray
+from sim.dynamics import HarmonicThenStop, State, released_state, steady_response
+from tracker import FloatArray
 
 # Eq. 6 without residual damping; Exudyn uses the same matrix
 DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, residual_ratio=0.0)

@@ -7,12 +7,9 @@ import time
 import numpy as np
 
 from benchmarks.simulation_cases import DAMPING
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes
-from sim.dynamics.excitation import HarmonicThenStop
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-from tracker.arrays import FloatArray
+from sim.beam import AncfBeam, BeamModes
+from sim.dynamics import BaseMotion, FailedSimulation, HarmonicThenStop, State, Trajectory, simulate
+from tracker import FloatArray
 
 
 def decay(

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam
-from sim.dynamics.trajectory import State
-from tracker.arrays import FloatArray
+from sim.beam import AncfBeam
+from sim.dynamics import State
+from tracker import FloatArray
 
 
 class PeerMissingError(ImportError):

@@ -25,7 +25,7 @@ from benchmarks.tracking_ours import (
 )
 from benchmarks.tracking_peers import PEERS
 from benchmarks.tracking_scenes import FILES, FPS, KINDS, SCENES, Accuracy, Recording, accuracy, recording_of
-from sim.render.video import write_video
+from sim.render import write_video
 from tracker import flags
 
 

@@ -17,11 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.tracking_peers import pyidi_lk
-from tracker import flags
-from tracker.arrays import BoolArray, FloatArray
-from tracker.results import FailedTracking
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import BoolArray, FailedTracking, FloatArray, TrackerSettings, flags, track
 
 MODES, POLYNOMIAL = 3, 5
 # The first lines of the spectrum belong to the polynomial.

@@ -10,17 +10,19 @@ import av
 import numpy as np
 
 from benchmarks.tracking_scenes import FPS, Recording
-from tracker.arrays import FloatArray, GrayImage
-from tracker.follow.follower import Follower
-from tracker.markers.base import NothingFound
-from tracker.markers.registry import detect_markers
-from tracker.register.calibrate_marker import calibrate
-from tracker.register.calibration_frames import CalibrationFrames
-from tracker.register.marker import Camera
-from tracker.results import FailedTracking, MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.template.noise import estimate_noise
-from tracker.track import CALIBRATION_FRAMES, track
+from tracker import (
+    TUNING,
+    FailedTracking,
+    FloatArray,
+    GrayImage,
+    MarkerTracks,
+    TrackerSettings,
+    track,
+)
+from tracker.follow import Follower
+from tracker.markers import NothingFound, detect_markers
+from tracker.register import CalibrationFrames, Camera, calibrate
+from tracker.template import estimate_noise
 
 
 def settings_of(recording: Recording) -> TrackerSettings:
@@ -52,7 +54,7 @@ def positions_and_sd(tracks: MarkerTracks) -> tuple[FloatArray, FloatArray]:
 
 def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[float, float]:
     """Frames per second of tracking alone, and CPU seconds of the calibration, in one thread."""
-    head = images[:CALIBRATION_FRAMES]
+    head = images[: TUNING.calibration_frames]
     settings = settings_of(recording)
     camera = Camera(estimate_noise(head, white_level=255.0), 255.0)
     found = detect_markers(head, settings, settings.kind)
@@ -88,13 +90,13 @@ def decode_only_fps(path: Path) -> float:
     count, start = 0, 0.0
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):
-            if count == CALIBRATION_FRAMES:
+            if count == TUNING.calibration_frames:
                 start = time.perf_counter()
             plane = frame.planes[0]
             rows = np.frombuffer(plane, np.uint8).reshape(frame.height, plane.line_size)
             np.array(rows[:, : frame.width])
             count += 1
-    return (count - CALIBRATION_FRAMES - 1) / (time.perf_counter() - start)
+    return (count - TUNING.calibration_frames - 1) / (time.perf_counter() - start)
 
 
 def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float]:
@@ -108,7 +110,7 @@ def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float
     tracks = track(path, settings_of(recording), recording=path.name, progress=progress)
     if isinstance(tracks, FailedTracking):
         raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
-    first = 2 * CALIBRATION_FRAMES  # the calibration frames and those decoded during calibration
+    first = 2 * TUNING.calibration_frames  # the calibration frames and those decoded during calibration
     steady = (len(stamps) - first - 1) / (stamps[-1] - stamps[first])
     return steady, len(stamps) / (time.perf_counter() - start)
 

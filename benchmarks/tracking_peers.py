@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 Frames = NDArray[np.uint8]
 Peer = Callable[[Frames, FloatArray], FloatArray]

@@ -9,12 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from sim.render.camera import Camera
-from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoMarker, DotMarker
-from sim.render.motion import Poses
-from sim.render.scene import Scene
-from tracker.arrays import FloatArray, GrayImage
+from sim.render import (
+    ArucoMarker,
+    Camera,
+    DotMarker,
+    Poses,
+    Scene,
+    render_frames,
+    render_ideal,
+    true_centres_px,
+)
+from tracker import FloatArray, GrayImage
 
 FPS = Fraction(1000)
 WIDTH_PX, HEIGHT_PX, COLUMNS, MARKERS = 640, 480, 5, 10

@@ -7,9 +7,8 @@ from typing import Any
 
 import typer
 
-from modalcam.cli.app import app
-from modalcam.cli.options import CONFIG_HELP
-from modalcam.config.reference import option
+from modalcam.cli import CONFIG_HELP, app
+from modalcam.config import option
 
 
 def _cell(text: str) -> str:
@@ -48,6 +47,12 @@ def markdown() -> str:
         "Every command has `--help`. Exit codes: 0 success, 1 internal error, 2 wrong usage or configuration,",
         "3 no usable input, 4 finished but some recordings failed, have no recorded frame rate or a shape or rate that",
         "theory contradicts, 130 interrupted.",
+        "",
+        "`modalcam run --progress json` writes one JSON object a line on standard error, for a program that starts",
+        "it: `event` is `begin` (`stage`, `total`: its tasks), `within` (`name` of a task that goes on, `frames`",
+        "done of `declared`), `advance` (`name` of a task that has ended, `reused`: its saved result was valid),",
+        "`say` (`text`: a message, a warning or a failure) or, at last, `end` (`exit_code`). A line that is no JSON",
+        "object is a message of the system or a library. Standard output is as without the option.",
     ]
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]  # the application is a group of commands
         lines += ["", f"## modalcam {name}", "", " ".join((command.help or "").split()), ""]

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modalcam.config.reference import markdown
+from modalcam.config import markdown
 
 Path(__file__).with_suffix(".md").write_text(markdown(), encoding="utf-8")

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modal_id.flags import ModeFlag
-from modalcam.report.build import report_terms
-from tracker.flags import REGISTRY as FRAME_FLAGS
-from tracker.severity import Severity
+from modal_id import ModeFlag
+from modalcam.report import report_terms
+from tracker import REGISTRY as FRAME_FLAGS
+from tracker import Severity
 
 # Terms that the report does not use, in alphabetical order.
 CODE_TERMS = {
     "ANCF": "Absolute nodal coordinate formulation: finite elements whose unknowns are positions and slopes in the "
     "global frame, so that large rotation needs no special treatment.",
     "calibrated uncertainty": "Uncertainty whose intervals contain the true value at their stated rate; measured in "
-    "[coverage.md](coverage.md).",
+    "[validation](validation.md).",
     "Cramér-Rao bound": "The smallest standard deviation that an unbiased estimate from the same data can have.",
     "detector": "The part of a marker type that detects the markers in the first frames, each as a `Detection`.",
     "displacement series": "Displacement of each marker over time with standard deviations, in mm or px: the input of "

@@ -10,14 +10,10 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.modes import BeamModes
-from sim.beam.properties import BeamProperties
+from sim.beam import AncfBeam, BeamModes, BeamProperties, from_band
 from sim.damping import DampingModel, NoDamping, RayleighDamping
-from sim.dynamics.excitation import state_from_modes
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import FailedSimulation, State, Trajectory
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, State, Trajectory, simulate, state_from_modes
+from tracker import FloatArray
 
 TIP = np.array([0.5])
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import modalcam as mc
-from tracker.video.registry import open_recording
+from tracker.video import open_recording
 
 _FILM = Path(__file__).parents[1] / "sample_videos" / "mode1.avi"
 _POSITIONS_MM = (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)

@@ -7,43 +7,51 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.data.prepare import Prepared, listed
-from modal_id.data.samples import FitData
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import StabilityDiagram, stability_diagram
+from modal_id.data import FitData, Prepared, listed
+from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
-from modal_id.modes.converted_rate import conversion
-from modal_id.modes.decays import FittedDecay
-from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
-from modal_id.modes.no_modes import combination_tones, not_established, within_errors
-from modal_id.modes.numbering import (
+from modal_id.modes import (
+    MANY_OUTLIERS,
+    FittedDecay,
     Numbering,
     TargetChoice,
+    amplitude_sd,
     choose_target_of,
+    combination_tones,
+    conversion,
+    mode_flags,
+    moving_channels,
+    not_established,
     number_modes,
+    outlier_share,
     rejected_modes,
+    repeating_shape_sd,
+    severities,
     shape_disagreement,
+    within_errors,
 )
-from modal_id.modes.severities import severities
-from modal_id.modes.shape_errors import repeating_shape_sd
-from modal_id.modes.shapes import amplitude_sd, moving_channels
-from modal_id.pieces.spread import mean_scatter_rad_s
-from modal_id.posterior.mode_posterior import SampledMode, sample_mode
-from modal_id.posterior.noise import channel_noise_level, noise_level
+from modal_id.pieces import mean_scatter_rad_s
+from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_mode
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import ModeColumns, motion
-from tracker.arrays import BoolArray, FloatArray
-from tracker.results import DisplacementSeries
+from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
+from tracker import BoolArray, DisplacementSeries, FloatArray
 
-# Half-width of the band of a driven line in bins of 1 / span; outer edge of the band of the noise beside it in these
-# half-widths.
-_OWN_BINS = 3.0
-_BESIDE = 6.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Bands of a driven line."""
+
+    #: [bins] half-width of the band of a driven line in bins of 1 / span
+    #: convention: Chosen; effect not measured.
+    own_bins: float = 3.0
+    #: [half-widths] outer edge of the band of the noise beside it
+    #: convention: Chosen; effect not measured.
+    beside: float = 6.0
+
+
+TUNING = Tuning()
+
 _REJECTED = "it is no mode of the beam according to reject_hz; it was fitted beside the modes"
 
 
@@ -56,7 +64,7 @@ def assemble(
     # Sampling needs most memory: it precedes the allocation of the arrays below.
     rejected = rejected_modes(frequency_hz(poles), settings)
     sampled = [
-        FailedMode(_REJECTED, float(frequency_hz(poles)[index]))
+        FailedMode(_REJECTED, frequency_hz=float(frequency_hz(poles)[index]))
         if rejected[index]
         else sample_mode(model, index, settings)
         for index in range(poles.size)
@@ -93,7 +101,8 @@ def assemble(
         expected = is_target or (number is not None and side_band is None)
         expected = expected and ModeFlag.ADDED not in flags
         if no_mode is not None and not expected:
-            failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index]), number, is_target))
+            hz = float(frequency_hz(poles)[index])
+            failed.append(FailedMode(no_mode, frequency_hz=hz, number=number, target=is_target))
             continue
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
@@ -123,9 +132,11 @@ def assemble(
                 severities=severities(model, index, outcome, flags),
             )
         )
-    failed += [FailedMode(reason, hz) for hz, reason in model.refused]
+    failed += [FailedMode(reason, frequency_hz=hz) for hz, reason in model.refused]
     if choice.index is None:
-        failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
+        failed.append(
+            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+        )
     found = _of_record(series, prepared, fitted, everything)
     notes_of_fit = _notes_of_fit(series, prepared, fitted, everything, outliers)
     fitting = choice.fitting if choice.fitting is None or choice.fitting.otherwise is None else None
@@ -162,7 +173,7 @@ def assemble_driven(
         f"the motion at {strongest.frequency_hz:.4g} Hz does not decay: it is driven, or decays too slowly for this "
         "record; record the free decay after the drive stops"
     )
-    failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
+    failed = FailedMode(reason, frequency_hz=strongest.frequency_hz, number=settings.mode, target=True)
     found = _of_record(series, prepared, fitted, _all_channels(prepared, fitted))
     return replace(found, driven=lines, failed=(failed,))
 
@@ -172,10 +183,10 @@ def _driven_sd_hz(model: ModalFit, index: int) -> float:
 
     At least that from the scatter between thirds of the record, which slow errors of the clock increase, too.
     """
-    centre, reach = float(frequency_hz(model.fit.poles)[index]), _OWN_BINS / model.data.span_s
+    centre, reach = float(frequency_hz(model.fit.poles)[index]), TUNING.own_bins / model.data.span_s
     spectrum = model.spectrum
     distance = np.abs(spectrum.frequency_hz - centre)
-    own, beside = distance < reach, (distance > reach) & (distance < _BESIDE * reach)
+    own, beside = distance < reach, (distance > reach) & (distance < TUNING.beside * reach)
     left = 1.0
     if np.any(own) and np.any(beside):
         left = float(np.max(spectrum.power[own])) / max(float(np.mean(spectrum.power[beside])), 1e-300)

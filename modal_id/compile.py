@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.identify import identify_free_decay
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries
 
 _RATE_HZ = 200.0
 _SAMPLES = 1000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from enum import Enum
 
-from tracker.severity import Severity
+from tracker import Severity
 
 
 class ModeFlag(Enum):

@@ -7,26 +7,38 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.assemble import assemble, assemble_driven
-from modal_id.data.held import in_all_rows, of_rows, sampled_rows
-from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
-from modal_id.data.projection import project
-from modal_id.data.samples import rough_variance
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.data import (
+    MIN_SAMPLES,
+    Prepared,
+    in_all_rows,
+    of_rows,
+    prepare,
+    project,
+    rough_variance,
+    sampled_rows,
+    with_base,
+)
+from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.flags import ModeFlag
-from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
-from modal_id.pieces.fit_decays import fit_decays
-from modal_id.posterior.frame_rate import with_rate_error
+from modal_id.modes import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
+from modal_id.pieces import fit_decays
+from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
-from modal_id.results import FailedIdentification, FittedMode, Identification, IdentifiedMode
-from modal_id.segments.divide import Decay, RecordParts, divide
-from modal_id.segments.find_onset import no_onset, record_start, user_onset
-from modal_id.segments.narrate import seen, whole_record
-from modal_id.segments.steadiness import STEADY_SD
+from modal_id.results import FittedMode, Identification, IdentifiedMode
+from modal_id.segments import (
+    STEADY_SD,
+    Decay,
+    RecordParts,
+    divide,
+    no_onset,
+    record_start,
+    seen,
+    user_onset,
+    whole_record,
+)
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.results import DisplacementSeries
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import DisplacementSeries, Failure
 
 _SHORT = (
     "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "
@@ -38,7 +50,7 @@ _FAINT = "What decays here is faint beside the motion of the rest."
 
 def identify(
     series: DisplacementSeries, settings: IdentifySettings | None = None
-) -> Identification | FailedIdentification:
+) -> Identification | Failure:
     """Identify the modes of one series.
 
     Parameters
@@ -50,7 +62,7 @@ def identify(
 
     Returns
     -------
-    Identification or FailedIdentification
+    Identification or Failure
         The latter, falsy and with a reason, when no mode can be distinguished from noise and drift.
 
     Raises
@@ -71,7 +83,7 @@ def identify(
         return in_all_rows(identify(of_rows(series, held[0]), settings), series, *held)
     samples = _samples(series, settings)
     if isinstance(samples, str):
-        return FailedIdentification(series.name, samples)
+        return Failure(samples, series.name)
     used, usable_from_s = samples
     parts = _parts(series, used, settings, usable_from_s)
     whole = settings.onset_s is not None and settings.end_s is not None
@@ -80,7 +92,7 @@ def identify(
 
 def identify_free_decay(
     series: DisplacementSeries, settings: IdentifySettings | None = None
-) -> Identification | FailedIdentification:
+) -> Identification | Failure:
     """Identify a series known to be one free decay from its first sample to its last.
 
     As `identify`, without the search for driving, plucks and disturbances, which takes most of its time.
@@ -88,25 +100,23 @@ def identify_free_decay(
     settings = IdentifySettings() if settings is None else settings
     samples = _samples(series, settings)
     if isinstance(samples, str):
-        return FailedIdentification(series.name, samples)
+        return Failure(samples, series.name)
     used, _ = samples
     return _identified(series, used, _one_decay(series, used), settings, whole=True)
 
 
-def fit_free_decay(
-    series: DisplacementSeries, max_modes: int
-) -> tuple[FittedMode, ...] | FailedIdentification:
+def fit_free_decay(series: DisplacementSeries, max_modes: int) -> tuple[FittedMode, ...] | Failure:
     """Fit a decay without noise, such as a simulation, from its first sample to its last.
 
     The errors of a simulation are no noise: its modes have no posterior, which takes most of the time otherwise.
     """
     samples = _samples(series, IdentifySettings())
     if isinstance(samples, str):
-        return FailedIdentification(series.name, samples)
+        return Failure(samples, series.name)
     used, _ = samples
     fits = fit_decays(series, used, _one_decay(series, used), max_modes, 0.0, whole=True)
     if not fits.decays:
-        return FailedIdentification(series.name, "; ".join(fits.reasons) or _STEADY)
+        return Failure("; ".join(fits.reasons) or _STEADY, series.name)
     one = fits.decays[0]
     return tuple(
         FittedMode(
@@ -155,7 +165,7 @@ def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Pr
 
 def _identified(
     series: DisplacementSeries, used: Prepared, parts: RecordParts, settings: IdentifySettings, *, whole: bool
-) -> Identification | FailedIdentification:
+) -> Identification | Failure:
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
     lowest_hz, named_hz = _lowest_hz(settings), settings.add_hz
     fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
@@ -166,7 +176,7 @@ def _identified(
         found = assemble_driven(series, settings, used, fits.driven[0])
         return with_rate_error(replace(found, segments=segments))
     reason = "; ".join(fits.reasons) or (_SHORT if parts.decays else parts.none.note.rstrip("."))
-    return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
+    return Failure(f"{reason}. {seen(segments)}", series.name)
 
 
 def _of_decays(

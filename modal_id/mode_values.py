@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtri
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from modal_id.check import Check
+from modal_id.columns import FLAGS, IDENTITY, OF_MODE, OF_RECORD
 from modal_id.flags import ModeFlag
 
 # Values of a mode and parts of the record are results too; packages that use results import them from here.
@@ -20,14 +20,11 @@ from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Table, axes_or_new
-from modal_id.record import FittingRate as FittingRate  # noqa: PLC0414 - re-exported
-from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
-from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.record import FittingRate, Onset, Segment
+from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, table_row
 
 # The series is part of an identification; packages that use results import it from here.
-from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
-from tracker.severity import Severity
+from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +59,7 @@ class IdentifiedMode(Table):
     flags : tuple of str
         Names from `modal_id.flags`.
     severities : tuple of (flag, severity)
-        Names of the `tracker.severity.Severity` of each flag by its effect on the result, as a share of the interval.
+        Names of the `tracker.flags.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
     decays : tuple of DecayValue
@@ -215,16 +212,12 @@ class DrivenMotion:
 
 
 @dataclass(frozen=True)
-class FailedMode:
-    """A mode that could not be identified: falsy, with the reason and what to do next."""
+class FailedMode(Failure):
+    """A mode that could not be identified."""
 
-    reason: str
     frequency_hz: float = float("nan")
     number: int | None = None
     target: bool = False
-
-    def __bool__(self) -> bool:
-        return False
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -346,55 +339,16 @@ class FittedMode:
     frequency_shift: float
 
 
-@dataclass(frozen=True)
-class FailedIdentification:
-    """A series from which nothing can be identified: falsy, with the reason and what to do next."""
-
-    name: str
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
-
-
-# Columns of ``modes.csv`` after the recording's name: the value of each for a mode, and for the whole record.
-_OF_MODE: dict[str, Callable[[IdentifiedMode | DrivenMotion], Any]] = {
-    "mode": lambda mode: mode.number,
-    "target": lambda mode: mode.target,
-    "frequency_hz": lambda mode: mode.frequency_hz,
-    "frequency_sd_hz": lambda mode: mode.frequency_sd_hz,
-    "frequency_q05_hz": lambda mode: mode.frequency_interval_hz()[0],
-    "frequency_q95_hz": lambda mode: mode.frequency_interval_hz()[1],
-    "damping_ratio": lambda mode: mode.damping_ratio,
-    "damping_ratio_sd": lambda mode: mode.damping_ratio_sd,
-    "damping_ratio_q05": lambda mode: mode.damping_interval()[0],
-    "damping_ratio_q95": lambda mode: mode.damping_interval()[1],
-    "frequency_small_amplitude_hz": lambda mode: mode.small_amplitude_frequency[0],
-    "frequency_small_amplitude_sd_hz": lambda mode: mode.small_amplitude_frequency[1],
-    "damping_ratio_small_amplitude": lambda mode: mode.small_amplitude_damping[0],
-    "damping_ratio_small_amplitude_sd": lambda mode: mode.small_amplitude_damping[1],
-    "amplitude": lambda mode: mode.amplitude,
-    "amplitude_unit": lambda mode: mode.amplitude_unit,
-}
-_OF_RECORD: dict[str, Callable[[Identification], Any]] = {
-    "onset_s": lambda found: found.onset.time_s,
-    "n_samples": lambda found: int(np.count_nonzero(found.used.any(axis=1))),
-    "n_markers": lambda found: int(np.count_nonzero(found.channels_used)),
-}
-MODE_COLUMNS = (*_OF_MODE, *_OF_RECORD, "flags")
-
-
 def _frame(
     modes: tuple[IdentifiedMode | DrivenMotion, ...], found: Identification | None = None
 ) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
 
-    columns: dict[str, Any] = {name: [value(mode) for mode in modes] for name, value in _OF_MODE.items()}
+    columns: dict[str, Any] = {column.name: [column.of(mode) for mode in modes] for column in OF_MODE}
     if found is not None:
-        columns |= {name: value(found) for name, value in _OF_RECORD.items()}
-    return pd.DataFrame(columns | {"flags": ["|".join(mode.flags) for mode in modes]}).astype(
-        {"mode": "Int64"}
-    )
+        columns |= table_row(OF_RECORD, found)
+    columns[FLAGS.name] = [FLAGS.of(mode) for mode in modes]
+    return pd.DataFrame(columns).astype({IDENTITY[0].name: "Int64"})
 
 
 def _central(draws: FloatArray, level: float) -> tuple[float, float]:

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from tracker.arrays import FloatArray
-from tracker.settings_base import Frequency, NonNegative, Options, Positive, Settings
+from tracker import FloatArray, Frequency, NonNegative, Options, Positive, Settings
 
 
 def _array(value: object) -> FloatArray:

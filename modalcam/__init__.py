@@ -21,18 +21,17 @@ if TYPE_CHECKING:
     from modalcam.api import identify as identify
     from modalcam.api import run as run
     from modalcam.api import track as track
-    from modalcam.errors import IdentificationError as IdentificationError
-    from modalcam.errors import TrackingError as TrackingError
-    from modalcam.pipeline.saved import load_run as load_run
-    from modalcam.planning.plan import plan as plan
-    from sim.beam.beam import Beam as Beam
-    from sim.beam.beam import natural_modes as modes
+    from modalcam.common import IdentificationError as IdentificationError
+    from modalcam.common import TrackingError as TrackingError
+    from modalcam.pipeline import load_run as load_run
+    from sim.beam import Beam as Beam
+    from sim.beam import natural_modes as modes
     from sim.damping import GenericDamping as GenericDamping
     from sim.damping import RayleighDamping as RayleighDamping
-    from sim.dynamics.free_decay import SimulationError as SimulationError
-    from sim.dynamics.free_decay import simulate_free_decay as simulate
+    from sim.dynamics import SimulationError as SimulationError
+    from sim.dynamics import simulate_free_decay as simulate
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Beam",
@@ -46,7 +45,6 @@ __all__ = [
     "identify",
     "load_run",
     "modes",
-    "plan",
     "run",
     "simulate",
     "track",
@@ -61,29 +59,36 @@ _SOURCES = {
     "modes": ("sim.beam.beam", "natural_modes"),
     "GenericDamping": ("sim.damping.models", "GenericDamping"),
     "RayleighDamping": ("sim.damping.models", "RayleighDamping"),
-    "simulate": ("sim.dynamics.free_decay", "simulate_free_decay"),
+    "simulate": ("sim.dynamics.excitation", "simulate_free_decay"),
     "run": ("modalcam.api", "run"),
     "load_run": ("modalcam.pipeline.saved", "load_run"),
-    "plan": ("modalcam.planning.plan", "plan"),
-    "TrackingError": ("modalcam.errors", "TrackingError"),
-    "IdentificationError": ("modalcam.errors", "IdentificationError"),
-    "SimulationError": ("sim.dynamics.free_decay", "SimulationError"),
+    "TrackingError": ("modalcam.common", "TrackingError"),
+    "IdentificationError": ("modalcam.common", "IdentificationError"),
+    "SimulationError": ("sim.dynamics.excitation", "SimulationError"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used (PEP 562)."""
-    if name not in _SOURCES:
-        msg = f"module 'modalcam' has no attribute {name!r}; public names: {', '.join(_SOURCES)}"
+    """Load a public name, of the core or of an app, when it is first used (PEP 562)."""
+    sources = _SOURCES if name in _SOURCES or name[0] == "_" else _with_apps()
+    if name not in sources:
+        msg = f"module 'modalcam' has no attribute {name!r}; public names: {', '.join(sources)}"
         raise AttributeError(msg)
-    module, attribute = _SOURCES[name]
+    module, attribute = sources[name]
     value = getattr(importlib.import_module(module), attribute)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_with_apps()})
+
+
+def _with_apps() -> dict[str, tuple[str, str]]:
+    from modalcam.plugins import FUNCTIONS, load_apps  # noqa: PLC0415 - needs this module
+
+    load_apps("public")
+    return _SOURCES | FUNCTIONS
 
 
 def _check_siblings() -> None:

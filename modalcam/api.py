@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.errors import IdentificationError, TrackingError
+from modalcam.common import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
-    from modal_id.results import Identification
-    from modalcam.execution.pool import Progress as RunProgress
-    from modalcam.pipeline.results import RunResult
-    from sim.beam.modes import BeamModes
-    from tracker.follow.follow_recording import Progress
-    from tracker.results import DisplacementSeries, MarkerTracks
+    from modal_id import Identification
+    from modalcam.pipeline import Progress as RunProgress
+    from modalcam.pipeline import RunResult
+    from sim.beam import BeamModes
+    from tracker import DisplacementSeries, MarkerTracks
+    from tracker.follow import Progress
 
 
 def track(
@@ -67,16 +67,17 @@ def track(
     >>> len(tracks.markers)
     6
     """
-    from tracker.results import FailedTracking  # noqa: PLC0415
-    from tracker.settings import TrackerSettings  # noqa: PLC0415
-    from tracker.settings_base import parse_fps  # noqa: PLC0415 - loaded when used
-    from tracker.track import track as track_recording  # noqa: PLC0415
+    from tracker import (  # noqa: PLC0415
+        FailedTracking,
+        TrackerSettings,
+    )
+    from tracker import track as track_recording  # noqa: PLC0415
 
-    rate = None if fps is None else parse_fps(fps)
-    settings = TrackerSettings(fps=rate, mm_per_px=mm_per_px, **options)
+    values: dict[str, Any] = {"fps": fps, "mm_per_px": mm_per_px, **options}
+    settings = TrackerSettings(**values)
     found = track_recording(Path(path), settings, progress=progress)
     if isinstance(found, FailedTracking):
-        msg = f"{found.recording}: {found.reason}"
+        msg = str(found)
         raise TrackingError(msg)
     return found
 
@@ -114,7 +115,7 @@ def displacement(
     >>> series.unit, series.values.shape
     ('mm', (1301, 6))
     """
-    from tracker.displacement import displacement_series  # noqa: PLC0415
+    from tracker import displacement_series  # noqa: PLC0415
 
     if not np.isfinite(tracks.x_px).any():
         msg = f"{tracks.recording}: no marker was detected in any frame"
@@ -195,11 +196,10 @@ def identify(
     >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
     (10.0, 1.0)
     """
-    from modal_id.identify import identify as identify_series  # noqa: PLC0415
-    from modal_id.results import FailedIdentification  # noqa: PLC0415
-    from modal_id.settings import IdentifySettings  # noqa: PLC0415
-    from modalcam.config.resolve import expected_of_theory  # noqa: PLC0415
-    from tracker.results import DisplacementSeries  # noqa: PLC0415
+    from modal_id import IdentifySettings  # noqa: PLC0415
+    from modal_id import identify as identify_series  # noqa: PLC0415
+    from modalcam.config import expected_of_theory  # noqa: PLC0415
+    from tracker import DisplacementSeries, Failure  # noqa: PLC0415
 
     if not isinstance(series, DisplacementSeries):
         series = _series(series, y, unit, positions_mm)
@@ -217,9 +217,8 @@ def identify(
         seed=seed,
     )
     found = identify_series(series, settings)
-    if isinstance(found, FailedIdentification):
-        msg = f"{found.name}: {found.reason}"
-        raise IdentificationError(msg)
+    if isinstance(found, Failure):
+        raise IdentificationError(str(found))
     if not found.motions:
         reasons = "; ".join(failed.reason for failed in found.failed) or "no mode was found"
         msg = f"{series.name}: {reasons}"
@@ -230,7 +229,7 @@ def identify(
 def _series(
     t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None
 ) -> DisplacementSeries:
-    from tracker.results import DisplacementSeries  # noqa: PLC0415
+    from tracker import DisplacementSeries  # noqa: PLC0415
 
     if y is None:
         msg = "identify takes a DisplacementSeries, or times and values; found no values"
@@ -295,7 +294,7 @@ def run(
     plugins : sequence of str
         Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
     progress : object, optional
-        Listener with the methods of `modalcam.execution.pool.Progress`.
+        Listener with the methods of `modalcam.pipeline.pool.Progress`.
 
     Returns
     -------
@@ -316,13 +315,13 @@ def run(
     """
     from modalcam.commands import Options  # noqa: PLC0415
     from modalcam.commands import run as run_folder  # noqa: PLC0415
-    from modalcam.execution.pool import Progress  # noqa: PLC0415
-    from tracker.settings_base import parse_fps  # noqa: PLC0415
+    from modalcam.config import camera_given  # noqa: PLC0415
+    from modalcam.pipeline import Progress  # noqa: PLC0415
 
     options = Options(
         out=Path(out),
         config=None if config is None else Path(config),
-        fps=None if fps is None else parse_fps(fps),
+        camera=camera_given({"fps": fps}),
         seed=seed,
         jobs=jobs,
         force=force,

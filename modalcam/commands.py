@@ -9,31 +9,50 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from importlib import import_module
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_config
-from modalcam.errors import InputError
-from modalcam.execution.dask import cluster_pool
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, WorkerPool, worker_pool
-from modalcam.inputs.discover import Discovery, Selection, discover
-from modalcam.names import recording_names, shown
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.saved import MEASURED, load_recording, load_run
-from modalcam.pipeline.stage import Context
+from modalcam.common import InputError, recording_names, shown
+from modalcam.config import (
+    CONFIG_NAME,
+    CameraConfig,
+    ExperimentConfig,
+    RecordingConfig,
+    given_in,
+    load_config,
+    parse_recording,
+    raw_config,
+)
+from modalcam.inputs import Discovery, Selection, discover
+from modalcam.pipeline import (
+    Cache,
+    Context,
+    Limits,
+    Outputs,
+    Progress,
+    RecordingResult,
+    RememberedHashes,
+    RunRecord,
+    RunResult,
+    WorkerPool,
+    Workspace,
+    cluster_pool,
+    code_state,
+    digest,
+    file_sha256,
+    load_recording,
+    load_run,
+    measured_files,
+    stage_key,
+    worker_pool,
+)
 from modalcam.plugins import OUR_PACKAGES, load_plugins
-from modalcam.storage.cache import Cache, digest
-from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
-from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
-    from modalcam.pipeline.all_stages import Measured
-    from modalcam.report.build import Plots
+    from modalcam.pipeline import Measured
+    from modalcam.report import Plots
 
 _HashOf = Callable[[Path], str | None]
 
@@ -48,8 +67,8 @@ class Options:
         Folder of the results.
     config : Path or None
         Configuration to use instead of ``experiment.toml`` in the folder of the recordings.
-    fps : Fraction or None
-        Recorded rate of all recordings, over the configuration.
+    camera : CameraConfig
+        What is given here holds for all recordings, over the configuration.
     scheduler : str or None
         Address of a Dask scheduler whose workers compute, instead of `jobs` processes of this machine.
     plugins : tuple of str
@@ -60,7 +79,7 @@ class Options:
 
     out: Path
     config: Path | None = None
-    fps: Fraction | None = None
+    camera: CameraConfig = field(default_factory=CameraConfig)
     seed: int = 0
     jobs: int = 1
     force: bool = False
@@ -73,14 +92,14 @@ class Options:
 
     def invocation(self, command: str) -> str:
         """The command with the options that results depend on, without paths and the number of processes."""
-        rate = "" if self.fps is None else f" --fps {self.fps}"
+        camera = "".join(f" --{option} {value}" for option, value in given_in(self.camera).items())
         chosen = (
             ("plugin", self.plugins),
             ("include", self.selection.include),
             ("exclude", self.selection.exclude),
         )
         repeated = "".join(f" --{option} {shown(value)}" for option, values in chosen for value in values)
-        return f"modalcam {command} --seed {self.seed}{rate}{repeated}"
+        return f"modalcam {command} --seed {self.seed}{camera}{repeated}"
 
 
 def run(target: Path, options: Options, progress: Progress) -> RunResult:
@@ -92,14 +111,16 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     if not options.force and _is_up_to_date(options.out, key):
         progress.note("up to date")
         return load_run(options.out)
-    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import duplicates, hashed  # noqa: PLC0415 - heavy
 
     config, recordings, notes = _find(folder, options, only)
     name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings, meanwhile=_load_stages())
-        from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
-        from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
+        from modalcam.pipeline import (  # noqa: PLC0415
+            compile_for,
+            measure,
+        )
 
         compile_for(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
@@ -109,12 +130,15 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
-    from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.all_stages import completed  # noqa: PLC0415
-    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
-    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415
-    from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
-    from tracker.results import MarkerTracks  # noqa: PLC0415
+    from modalcam.pipeline import (  # noqa: PLC0415
+        compile_for,
+        completed,
+        duplicates,
+        hashed,
+        track_recordings,
+    )
+    from modalcam.tables import write_tracks  # noqa: PLC0415 - heavy
+    from tracker import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
     folder, only = _folder_of(target)
@@ -148,9 +172,11 @@ def identify(
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
     """
-    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
-    from modalcam.pipeline.motion_of import motion_of  # noqa: PLC0415
+    from modalcam.inputs import motion_of  # noqa: PLC0415
+    from modalcam.pipeline import (  # noqa: PLC0415
+        compile_for,
+        measure,
+    )
 
     load_plugins(options.plugins)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
@@ -177,8 +203,10 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
     A configuration in `options` replaces that of the run, for instance with other properties of the beam. InputError
     if OUT holds no run, or one without a saved identification.
     """
-    from modalcam.pipeline.all_stages import Measured  # noqa: PLC0415
-    from modalcam.pipeline.update import beam_theory  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import (  # noqa: PLC0415
+        Measured,
+        beam_theory,
+    )
 
     load_plugins(options.plugins)
     workspace = Workspace(options.out)
@@ -186,13 +214,15 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
     config = record.config if options.config is None else load_config(options.config)
     record = replace(record, config=config, seed=options.seed, key="")
     with _context(config, options, progress, inputs=None) as context:
-        recordings = tuple(load_recording(workspace, record, source, MEASURED) for source in record.sources)
+        recordings = tuple(
+            load_recording(workspace, record, source, measured_files()) for source in record.sources
+        )
         for recording in recordings:
             if recording.identification is None and not recording.failure:
                 msg = f"{options.out}: no saved identification of {recording.name}; run again with `modalcam run`"
                 raise InputError(msg)
             kept = record.results.get(recording.name, {})
-            context.results[recording.name] = {name: kept[name] for name in MEASURED if name in kept}
+            context.results[recording.name] = {name: kept[name] for name in measured_files() if name in kept}
         yield context, record, Measured(recordings, beam_theory(context))
 
 
@@ -232,7 +262,7 @@ def _find(
     folder: Path, options: Options, only: str | None
 ) -> tuple[ExperimentConfig, list[RecordingResult], tuple[str, ...]]:
     """Configuration, recordings and notes on the folder; with `only`, that recording alone."""
-    from tracker.results import FailedTracking  # noqa: PLC0415 - heavy
+    from tracker import FailedTracking  # noqa: PLC0415 - heavy
 
     found = _discovered(folder, options, only)
     path = options.config if options.config is not None else folder / CONFIG_NAME
@@ -241,8 +271,7 @@ def _find(
     notes = list(found.notes)
     if not has_config:
         notes.append(f"There is no {CONFIG_NAME} in the folder: only information in the recordings was used.")
-    if options.fps is not None:
-        config = config.with_fps(options.fps)
+    config = config.with_camera(options.camera)
     left_out = [r.file for r in config.recordings if r.leave_out] if only is None else []
     present = [f for f in found.recordings if f.file == only or (only is None and f.file not in left_out)]
     if left_out and not present:
@@ -265,7 +294,7 @@ def _find(
         taken = [recording.name for recording in recordings]
         free = recording_names([*taken, *(file for file, _ in absent)])[len(taken) :]
         recordings += [
-            RecordingResult(name, file, "", config.for_recording(file).mode, tracks=FailedTracking(file, why))
+            RecordingResult(name, file, "", config.for_recording(file).mode, tracks=FailedTracking(why, file))
             for name, (file, why) in zip(free, absent, strict=True)
         ]
     return config, recordings, tuple(notes)
@@ -339,7 +368,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
             recordings=[(r.name, r.file, value) for r, value in zip(wanted, sha256, strict=True)],
             notes=(found.notes, found.unreadable),
             config=config,
-            options=(options.seed, options.fps, options.plugins, options.plots),
+            options=(options.seed, options.camera, options.plugins, options.plots),
             code=code_state(*OUR_PACKAGES),
         )
 
@@ -349,7 +378,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
 def _finish(
     ctx: Context, options: Options, measured: Measured, record: RunRecord, key: str = ""
 ) -> RunResult:
-    from modalcam.pipeline.all_stages import simulate as simulate_stages  # noqa: PLC0415 - heavy
+    from modalcam.pipeline import simulate as simulate_stages  # noqa: PLC0415 - heavy
 
     result, record = simulate_stages(ctx, measured, record)
     ctx.workspace.write_record(record)
@@ -372,12 +401,13 @@ def _write_files(
 
     Figures are drawn by the processes of `pool` where there is one, while this process writes the files without them.
     """
-    from modalcam.export.base import Output  # noqa: PLC0415 - heavy
-    from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
-    from modalcam.report.build import build_report  # noqa: PLC0415
-    from modalcam.report.drawing import draw_figures  # noqa: PLC0415
-    from modalcam.report.style.environment import compiled_templates  # noqa: PLC0415
-    from modalcam.storage.atomic import write_text  # noqa: PLC0415
+    from modalcam.pipeline import write_text  # noqa: PLC0415
+    from modalcam.report import (  # noqa: PLC0415
+        build_report,
+        compiled_templates,
+        draw_figures,
+    )
+    from modalcam.tables import Output, outputs, with_missing_formats  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
     if options.force:

@@ -1,4 +1,4 @@
-"""Terminal output, all on standard error: progress of the stages, and the outcome of each recording at the end.
+"""What is said on standard error: progress of the stages, and the outcome of each recording at the end.
 
 The outcome is read from ``summary.json``, so that a run that is up to date shows it without loading any result.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -23,19 +23,15 @@ from rich.segment import Segments
 from rich.table import Column, Table
 from rich.text import Text
 
-from modal_id.flags import QUOTED, quoted_note
-from modal_id.record import FittingRate
-from modalcam.errors import ExitCode
-from modalcam.execution.pool import Progress
-from modalcam.names import for_terminal, natural_key, shown
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.style.format import count, interval, with_sd
-from modalcam.storage.atomic import write_text
-from modalcam.storage.output_folder import Workspace
-from tracker.severity import Severity
+from modal_id import DAMPING, FREQUENCY, QUOTED, SMALL_DAMPING, SMALL_FREQUENCY, FittingRate, quoted_note
+from modalcam.common import ExitCode, ModalcamError, for_terminal, natural_key, shown
+from modalcam.pipeline import Progress, RecordingResult, Workspace, write_text
+from modalcam.report.style import count, interval, with_sd
+from tracker import Column as Value
+from tracker import Severity
 
 if TYPE_CHECKING:
-    from tracker.results import MarkerTracks
+    from tracker import MarkerTracks
 
 # Flags of modes whose values at small amplitude differ from those of the table, or have a larger sd.
 _OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
@@ -145,6 +141,64 @@ class ConsoleProgress(Progress):
         )
 
 
+class JsonProgress(Progress):
+    """Writes each step as one JSON object a line on standard error, for a program that starts this one.
+
+    ``event`` is ``begin`` (``stage``, ``total``: its tasks), ``within`` (``name`` of a task that goes on, ``frames``
+    done of ``declared``), ``advance`` (``name`` of a task that has ended, ``reused``: its saved result was valid),
+    ``say`` (``text``: a message, a warning or a failure) or, at last, ``end`` (``exit_code``).
+    """
+
+    def __init__(self) -> None:
+        # No line of a message is wrapped or coloured.
+        self.console = Console(file=_Said(self), width=1_000_000, force_terminal=False, color_system=None)
+
+    def begin(self, stage: str, total: int) -> None:
+        """A stage begins."""
+        _tell(event="begin", stage=stage, total=total)
+
+    def advance(self, name: str, *, reused: bool = False) -> None:
+        """One of its tasks has ended."""
+        _tell(event="advance", name=name, reused=reused)
+
+    def within(self, name: str, frames: int, declared: int) -> None:
+        """One of its tasks goes on."""
+        _tell(event="within", name=name, frames=frames, declared=declared)
+
+    def say(self, text: str) -> None:
+        """Show a message."""
+        _tell(event="say", text=text)
+
+    def ended(self, computed: Callable[[], ExitCode]) -> ExitCode:
+        """Compute, and tell how it ended; a process that ends without telling has died."""
+        try:
+            code = computed()
+        except ModalcamError as error:
+            self.say(str(error))
+            code = error.exit_code
+        except KeyboardInterrupt:
+            code = ExitCode.INTERRUPTED
+        _tell(event="end", exit_code=int(code))
+        return code
+
+
+class _Said(io.StringIO):
+    """Stream whose lines are messages."""
+
+    def __init__(self, progress: JsonProgress) -> None:
+        super().__init__()
+        self._progress = progress
+
+    def write(self, text: str) -> int:
+        for line in text.splitlines():
+            self._progress.say(line)
+        return len(text)
+
+
+def _tell(**values: Any) -> None:
+    typer.echo(json.dumps(values), err=True)
+
+
 @contextmanager
 def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
     """Progress display while the block runs; none where `verbose` is negative."""
@@ -239,7 +293,7 @@ def _warn_of_cut(console: Console, recording: dict[str, Any], reason: str) -> No
     complete = not decode or decode["frames_declared"] <= decode["frames_decoded"]
     if complete or reason.startswith("the file is cut off"):
         return
-    from tracker.results import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
+    from tracker import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
 
     fps = None if _rate_is_guessed(recording) else tracking["time_axis"]["fps_recorded"]
     if cut := DecodeReport(**decode).cut_off(fps):
@@ -276,7 +330,7 @@ def tracked(
     quiet: bool = False,
 ) -> ExitCode:
     """Print the outcome of tracking, with `quiet` failures and warnings only; returns the exit code."""
-    from tracker.markers.registry import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
+    from tracker.markers import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
 
     for recording in recordings:
         axis = None
@@ -324,13 +378,13 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
         table.add_column(heading, no_wrap=True)
     for recording in recordings:
         for mode in (mode for mode in recording["modes"] if mode["target"]):
-            sd = 100 * _number(mode["damping_ratio_sd"])
+            sd = 100 * _number(mode[DAMPING[1].name])
             low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
             cells = (
                 recording["recording"],
                 "" if mode["mode"] is None else str(mode["mode"]),
                 _frequency(recording, mode),
-                with_sd(100 * _number(mode["damping_ratio"]), sd),
+                _with_sd(mode, DAMPING, 100.0),
                 interval(low, high, sd),
             )
             table.add_row(*map(_text, cells))
@@ -353,13 +407,11 @@ def _beside_the_table(recording: dict[str, Any]) -> list[str]:
         lines.append(f"{name}: {listed}")
     for mode in (mode for mode in recording["modes"] if mode["target"]):
         if not _OTHER_AMPLITUDE.isdisjoint(mode["flags"]):
-            frequency = _frequency(recording, mode, "small_amplitude_")
-            damping = _with_sd(
-                mode, "damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd", 100.0
-            )
+            frequency = _frequency(recording, mode, SMALL_FREQUENCY)
+            damping = _with_sd(mode, SMALL_DAMPING, 100.0)
             known = "" if _rate_is_guessed(recording) else f"{frequency} Hz, "
             lines.append(f"{name}: at small amplitude {known}damping ratio {damping} %")
-        decays = [_with_sd(one, "damping_ratio", "damping_ratio_sd", 100.0) for one in mode["decays"]]
+        decays = [_with_sd(one, DAMPING, 100.0) for one in mode["decays"]]
         if len(decays) > 1:
             lines.append(f"{name}: {len(decays)} decays, with damping ratios of {', '.join(decays)} %")
     return lines
@@ -377,15 +429,18 @@ def _rate_is_guessed(recording: dict[str, Any]) -> bool:
     return tracking is not None and tracking["time_axis"]["source"] == "container"
 
 
-def _frequency(recording: dict[str, Any], motion: dict[str, Any], at: str = "") -> str:
+def _frequency(
+    recording: dict[str, Any], motion: dict[str, Any], columns: tuple[Value, Value] = FREQUENCY
+) -> str:
     """Frequency in Hz with its sd; that of a film without a recorded rate is unknown."""
     if _rate_is_guessed(recording):
         return "unknown"
-    return _with_sd(motion, f"frequency_{at}hz", f"frequency_{at}sd_hz", 1.0)
+    return _with_sd(motion, columns, 1.0)
 
 
-def _with_sd(values: dict[str, Any], value: str, sd: str, factor: float) -> str:
-    return with_sd(factor * _number(values[value]), factor * _number(values[sd]))
+def _with_sd(values: dict[str, Any], columns: tuple[Value, Value], factor: float) -> str:
+    value, sd = (factor * _number(values[column.name]) for column in columns)
+    return with_sd(value, sd)
 
 
 def _number(value: float | None) -> float:

@@ -15,7 +15,7 @@ import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
 
-from modalcam.errors import InputError
+from modalcam.common import InputError
 
 GROUP = "modalcam.plugins"
 OUR_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
@@ -24,13 +24,41 @@ OUR_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 _SOURCES = frozenset({".py", ".j2", ".css", ".js", ".toml"})
 # names of the loaded plugins with the SHA-256 of their source
 _LOADED: dict[str, str] = {}
+# Functions that apps add to the public names of `modalcam`: the module that defines each and its name there.
+FUNCTIONS: dict[str, tuple[str, str]] = {}
+
+
+def register_function(name: str, module: str) -> None:
+    """Offer the function `name` of a module as ``modalcam.NAME``; the module is imported when it is first used."""
+    FUNCTIONS[name] = module, name
+
+
+def load_apps(file: str) -> None:
+    """Import `file` of each app in `modalcam.apps` that has one.
+
+    The file "cli" registers commands, "public" functions, "plugin" what a run uses, as a plugin does. Without
+    `modalcam.apps` there are none.
+    """
+    for path in sorted((Path(__file__).parent / "apps").glob(f"*/{file}.py")):
+        importlib.import_module(f"modalcam.apps.{path.parent.name}.{file}")
+
+
+def load_entry_points(group: str) -> None:
+    """Import the modules that installed distributions declare in a group of entry points; InputError if one fails."""
+    for entry in importlib.metadata.entry_points(group=group):
+        try:
+            importlib.import_module(entry.module)
+        except Exception as error:
+            msg = f"plugin {entry.module}: cannot be imported ({type(error).__name__}: {error}); mend or uninstall it"
+            raise InputError(msg) from error
 
 
 def load_plugins(names: Iterable[str] = ()) -> tuple[tuple[str, str], ...]:
-    """Import the plugins of installed distributions and the modules `names`, each once; returns `loaded_plugins`.
+    """Import the plugins of installed distributions, the modules `names` and the apps; returns `loaded_plugins`.
 
     InputError if a plugin cannot be imported.
     """
+    load_apps("plugin")
     installed = (entry.module for entry in importlib.metadata.entry_points(group=GROUP))
     for name in (*installed, *names):
         if name not in _LOADED:

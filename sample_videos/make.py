@@ -22,14 +22,19 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
+from sim import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
+from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
-from sim.render.markers import ArucoMarker, DotMarker, Marker
-from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
-from sim.render.video import write_video
+from sim.render import (
+    ArucoMarker,
+    DotMarker,
+    Marker,
+    Optics,
+    RecordingPlan,
+    StagedRecording,
+    stage_recording,
+    write_video,
+)
 
 SEED = 20090
 RESIDUAL_DAMPING_RATIO = 0.003

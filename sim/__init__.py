@@ -5,3 +5,7 @@ the motion in time; ``updating`` matches the beam to measured modes; ``compariso
 decays; ``render`` films the simulated beam; ``reference`` has the paper's beam and tables. The public API is the
 package `modalcam`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

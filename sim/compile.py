@@ -4,40 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.dynamics.free_decay import simulate_free_decay
-from sim.reference.paper_beam import paper_beam
-from sim.render.camera import Camera
-from sim.render.frames import render_frames
-from sim.render.markers import DotMarker
-from sim.render.motion import Poses
-from sim.render.scene import Scene, Strip
-from tracker.arrays import FloatArray
-
-_DAMPING_RATIO, _TIP_MM, _DURATION_S, _STEP_S = 0.005, 5.0, 0.01, 5e-4
-_WIDTH_PX, _HEIGHT_PX = 64, 48
-_DOT_MM = 8.0
+from sim.dynamics import simulate_free_decay
+from sim.reference import paper_beam
+from sim.render import Camera, DotMarker, Poses, Scene, Strip, render_frames
+from tracker import FloatArray
 
 
 def compile_for_simulations() -> None:
     """Compile what the simulation of a decay needs."""
-    simulate_free_decay(
-        paper_beam(elements=4),
-        _DAMPING_RATIO,
-        tip_amplitude_mm=_TIP_MM,
-        duration_s=_DURATION_S,
-        step_s=_STEP_S,
-    )
+    simulate_free_decay(paper_beam(elements=4), 0.005, tip_amplitude_mm=5.0, duration_s=0.01, step_s=5e-4)
 
 
 def compile_for_films() -> None:
     """Compile what a synthetic film of a strip with markers needs."""
 
     def middle(time_s: FloatArray) -> Poses:
-        x_mm = np.tile([0.3 * _WIDTH_PX, 0.7 * _WIDTH_PX], (time_s.size, 1))
-        return Poses(x_mm, np.full_like(x_mm, -0.5 * _HEIGHT_PX), np.zeros_like(x_mm))
+        x_mm = np.tile([0.3 * 64, 0.7 * 64], (time_s.size, 1))
+        return Poses(x_mm, np.full_like(x_mm, -0.5 * 48), np.zeros_like(x_mm))
 
-    camera = Camera(width_px=_WIDTH_PX, height_px=_HEIGHT_PX, mm_per_px=1.0, origin_px=(0.0, 0.0))
-    strip = Strip(width_mm=0.5 * _DOT_MM, gray=0.5 * camera.background, motion=middle)
-    scene = Scene(markers=2 * (DotMarker(diameter_mm=_DOT_MM),), motion=middle, strip=strip)
+    camera = Camera(width_px=64, height_px=48, mm_per_px=1.0, origin_px=(0.0, 0.0))
+    strip = Strip(width_mm=4.0, gray=0.5 * camera.background, motion=middle)
+    scene = Scene(markers=2 * (DotMarker(diameter_mm=8.0),), motion=middle, strip=strip)
     for _ in render_frames(scene, camera, np.zeros(1), np.random.default_rng(1)):
         pass

@@ -1,5 +1,6 @@
 """Every code block of the documents is valid: commands parse, configurations are accepted, Python compiles."""
 
+import importlib
 import re
 import runpy
 import shlex
@@ -11,13 +12,22 @@ import pytest
 import typer
 from support.paths import ROOT
 
-from modalcam.cli.app import app
-from modalcam.config.schema import ExperimentConfig
+from modalcam.cli import app
+from modalcam.config import ExperimentConfig
 
-DOCS = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
+FOLDERS = sorted({path.parent for name in PACKAGES for path in (ROOT / name).rglob("*.py")})
+DOCS = sorted(
+    [
+        *(ROOT / "docs").rglob("*.md"),
+        *(folder / "README.md" for folder in FOLDERS),
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+    ]
+)
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Directives of the documentation, sources that are quoted, and what a command prints.
-NOT_CODE = re.compile(r"\{[a-z-]+\}|text|bibtex|$")
+NOT_CODE = re.compile(r"\{[a-z-]+\}|text|bibtex|jinja|$")
 
 
 def blocks():
@@ -82,6 +92,30 @@ def test_the_reference_of_commands_is_up_to_date():
     assert (ROOT / "docs" / "cli.md").read_text(encoding="utf-8") == made, "run python docs/cli.py"
 
 
+def test_the_table_of_folders_is_up_to_date():
+    made = runpy.run_path(str(ROOT / "docs" / "architecture.py"))["markdown"]()
+    assert (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8") == made, (
+        "run python docs/architecture.py"
+    )
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/theory.md"])
+def test_files_that_a_document_names_exist(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    named = re.findall(rf"`((?:{'|'.join(PACKAGES)}|benchmarks|tests|docs)/[\w/.]*)`", text)
+    missing = [name for name in named if not (ROOT / name).exists()]
+    assert not missing, f"{page} names {', '.join(missing)}"
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.relative_to(ROOT).as_posix())
+def test_entry_points_in_the_readme_of_a_folder_are_public(folder):
+    public = dir(importlib.import_module(".".join(folder.relative_to(ROOT).parts)))
+    paragraphs = (folder / "README.md").read_text(encoding="utf-8").split("\n\n")
+    named = [n for p in paragraphs if p.startswith("Entry points:") for n in re.findall(r"`(\w+)`", p)]
+    missing = [name for name in named if name not in public]
+    assert not missing, f"{folder.name} has no {', '.join(missing)}"
+
+
 def test_links_between_documents_lead_somewhere():
     for path in DOCS:
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", path.read_text(encoding="utf-8")):
@@ -98,20 +132,37 @@ def test_the_documentation_builds_without_warnings(tmp_path):
     assert (tmp_path / "tutorial.html").exists()
 
 
-def test_the_readme_quotes_the_measured_coverage():
-    """The tables are made by benchmarks; a new measurement changes them, not the sentence that quotes them."""
-
-    def row(name, *first):
-        lines = (ROOT / "docs" / name).read_text(encoding="utf-8").splitlines()
-        cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
-        return next(cell for cell in cells if tuple(cell[: len(first)]) == first)
-
-    records = row("coverage.md", "every case", "all")
-    films = [row("films.md", codec, "all", "", "") for codec in ("lossless", "MJPG", "H.264")]
-    number, frequency, damping = (sum(int(film[k]) for film in films) for k in (4, 7, 9))
-    expected = (
-        f"the true damping ratio in {records[7]} % of [{records[2]} simulated records](docs/coverage.md) "
-        f"and in {damping} of [{number} rendered films](docs/films.md), "
-        f"lossless, MJPG or H.264, and the true frequency in {records[4]} % and in {frequency}."
+def test_documents_quote_the_measured_coverage():
+    """The tables are made by benchmarks; a new measurement changes them, not the sentences that quote them."""
+    drawn = runpy.run_path(str(ROOT / "docs" / "validation.py"))
+    every, films = drawn["series"]()[-1], drawn["films"]()
+    number, frequency, damping = (
+        sum(getattr(film, name) for film in films) for name in ("records", "frequency", "damping")
     )
-    assert expected in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    series_damping, series_frequency = (
+        f"{100.0 * count / every.records:.1f} %" for count in (every.damping, every.frequency)
+    )
+    readme, verdicts = (
+        " ".join((ROOT / name).read_text(encoding="utf-8").split())
+        for name in ("README.md", "docs/validation.md")
+    )
+    assert (
+        f"the true damping ratio in {series_damping} of {every.records} simulated records and in {damping} of "
+        f"{number} rendered films, lossless, MJPG or H.264, and the true frequency in {series_frequency} "
+        f"and in {frequency}."
+    ) in readme
+    assert (
+        f"damping ratio in {series_damping} of {every.records} simulated series, frequency in {series_frequency} "
+    ) in verdicts
+    assert f"damping ratio in {damping} of {number}, frequency in {frequency} " in verdicts
+
+
+def test_the_figure_of_the_validation_shows_the_tables(tmp_path):
+    """A drawn point is the name of a study with its number of records; another matplotlib draws other bytes."""
+    drawn = runpy.run_path(str(ROOT / "docs" / "validation.py"))
+    drawn["plot"](tmp_path / "made.svg")
+    committed, made = (
+        re.findall(r"<text[^>]*>([^<]+)</text>", path.read_text(encoding="utf-8"))
+        for path in (ROOT / "docs" / "validation.svg", tmp_path / "made.svg")
+    )
+    assert committed == made, "run python docs/validation.py"

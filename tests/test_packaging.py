@@ -1,10 +1,15 @@
-"""What the files of the distribution promise: dependencies, changelog fragments, the glossary."""
+"""What the files of the distribution promise: dependencies, changelog fragments, the glossary, quick imports."""
 
 import re
 import runpy
+import subprocess
+import sys
 import tomllib
 
+import pytest
 from support.paths import ROOT
+
+from modalcam.tables import markdown
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
@@ -41,7 +46,31 @@ def test_fragments_have_a_type_that_towncrier_knows():
     assert not wrong, f"see changes/README.md: {wrong}"
 
 
+def test_the_columns_of_the_tables_are_up_to_date():
+    page = (ROOT / "docs" / "columns.md").read_text(encoding="utf-8")
+    assert page == markdown(), "run python docs/columns.py"
+
+
 def test_glossary_is_up_to_date():
     made = runpy.run_path(str(ROOT / "docs" / "glossary.py"))["markdown"]()
     page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
     assert page == made, "run python docs/glossary.py"
+
+
+@pytest.mark.parametrize(
+    ("modules", "heavy"),
+    [
+        ("tracker.settings, modal_id.settings", "cv2 scipy numba pandas"),
+        ("modalcam", "numpy scipy cv2 numba pandas av"),
+        ("modalcam.cli", "numpy pydantic cv2 pandas scipy numba matplotlib av"),
+        # `modalcam report` whose figures are kept
+        (
+            "modalcam.report.build, modalcam.tables.writers, modalcam.pipeline.all_stages",
+            "matplotlib pandas scipy.optimize skimage.measure._regionprops",
+        ),
+    ],
+)
+def test_an_import_loads_no_heavy_library(modules, heavy):
+    code = f"import sys, {modules}; print(*{set(heavy.split())} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "", "it must be loaded when it is used"

@@ -15,7 +15,7 @@ import numpy as np
 from tracker.arrays import FloatArray, GrayImage
 from tracker.settings import TrackerSettings
 from tracker.track import track_source
-from tracker.video.base import Frame, SourceInfo
+from tracker.video import Frame, SourceInfo
 
 _RATE_HZ = Fraction(1000)
 # half of the time between frames

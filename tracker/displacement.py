@@ -1,24 +1,99 @@
-"""Displacement from tracks: along one direction common to all markers, references subtracted."""
+"""Displacement from tracks: along one direction common to all markers, references subtracted.
+
+Markers that are lost at the same phase of every cycle: the rest of their track fits wrong frequencies as well.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from tracker import flags
-from tracker.arrays import FloatArray
-from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.geometry.view import Positions, median_over_time
-from tracker.line.hidden import hidden_motion
-from tracker.losses import misleading_losses
+from tracker.arrays import BoolArray, FloatArray
+from tracker.geometry import Positions, median_over_time, row_delay_s, to_common_time
+from tracker.markers import kind_of
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
-from tracker.scale_change import ScaleChange, possible_zoom, scale_change
-from tracker.slow_motion import MarkersInFrames
-from tracker.template.compression import largest_sd
+from tracker.scale_change import MarkersInFrames, ScaleChange, possible_zoom, scale_change
+from tracker.template import largest_sd
 from tracker.vibration_direction import component, stronger_across, vibration_direction
 
-# Error of the points about which markers seem to grow, relative and in px: of codes and dots in rendered films.
-_FIXED_POINT_SHARE, _FIXED_POINT_SD_PX = 0.1, 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Losses that follow the motion, and the points about which markers grow."""
+
+    #: [1] share of lost frames below which the rest determines the motion
+    least_lost: float = 0.25
+    #: [1] largest line of the spectral window at which the frequency is unambiguous
+    #: physics: that of a marker seen in two thirds of each cycle is sin(2 pi / 3) / (2 pi / 3) = 0.41; one seen in a
+    #: third of each has 0.83
+    largest_line: float = 0.45
+    #: [1] slower patterns, fewer than this many times in the record, are single losses
+    least_cycles: int = 5
+    #: [1] longer steps, in median steps, divide the record
+    #: convention: the window of hours without a frame would fill memory: that of the longest part is evaluated
+    longest_step: int = 100
+    #: [1] the spectral window is evaluated this much finer than the resolution of the record
+    #: physics: a line between two bins then loses at most 3 %
+    finer: int = 4
+    #: [1] relative error of the points about which markers seem to grow
+    #: measurement: codes and dots in rendered films
+    fixed_point_share: float = 0.1
+    #: [px] error of these points
+    #: measurement: codes and dots in rendered films
+    fixed_point_sd_px: float = 0.1
+    #: [1] of the image, distance from its middle about which a zoom is assumed, at least
+    nearest_middle: float = 0.25
+
+
+TUNING = Tuning()
+
+
+def misleading_lost_markers(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
+    """Markers whose lost frames follow the motion, each with the reason why its track cannot be fitted.
+
+    The fit of a record with gaps is ambiguous by the lines of its spectral window (the Fourier transform of the times
+    with a value): a marker that is seen only at the same phase of each cycle fits frequencies that differ from the true
+    one by multiples of the line (VanderPlas 2018, doi:10.3847/1538-4365/aab766, section 7). Frames that no marker can
+    be measured in (damaged, repeated, recorded at another rate) count neither as found nor as lost.
+    """
+    unusable = flags.LEFT_OUT | flags.DECODE_CORRUPT.value
+    found: list[tuple[str, str]] = []
+    for k, name in enumerate(tracks.markers):
+        available = (tracks.flags[:, k] & unusable) == 0
+        seen = available & np.isfinite(tracks.x_px[:, k])
+        lost = 1.0 - float(seen.sum()) / max(float(available.sum()), 1.0)
+        if lost < TUNING.least_lost or not seen.any():
+            continue
+        line, frequency_hz = _largest_line(tracks.time_s, seen, available)
+        if line > TUNING.largest_line:
+            reason = (
+                f"it was not found in {100.0 * lost:.0f} % of the frames, and the others repeat {frequency_hz:.4g} "
+                "times a second: found only at the same phase of its motion, it has an ambiguous frequency; use a "
+                "shorter exposure or a marker that is found throughout"
+            )
+            found.append((name, reason))
+    return tuple(found)
+
+
+def _largest_line(time_s: FloatArray, seen: BoolArray, available: BoolArray) -> tuple[float, float]:
+    """Largest line of the spectral window that is not one of the available frames, 0 to 1, and its frequency in Hz."""
+    step_s = float(np.median(np.diff(time_s)))
+    pauses = np.flatnonzero(np.diff(time_s) > TUNING.longest_step * step_s) + 1
+    part = max(np.split(np.arange(time_s.size), pauses), key=np.size)
+    time_s, seen, available = time_s[part], seen[part], available[part]
+    slots = np.rint((time_s - time_s[0]) / step_s).astype(np.int64)
+    length = TUNING.finer * (int(slots[-1]) + 1)
+    windows = []
+    for mask in (seen, available):
+        comb = np.bincount(slots[mask], minlength=length).astype(np.float64)
+        windows.append(np.abs(np.fft.rfft(comb, length)) / max(float(mask.sum()), 1.0))
+    lines = np.where(windows[1] < 0.5 * windows[0], windows[0], 0.0)
+    lines[: TUNING.finer * TUNING.least_cycles] = 0.0
+    best = int(np.argmax(lines))
+    return float(lines[best]), best / (length * step_s)
 
 
 def displacement_series(
@@ -51,6 +126,9 @@ def displacement_series(
     ValueError
         If a reference is not one of the markers, all markers are references, or mm are requested without scale.
     """
+    # Loads SciPy's interpolation, which a report whose figures are kept does without.
+    from tracker.line import codec_skipped  # noqa: PLC0415
+
     unknown = [name for name in tracks.reference if name not in tracks.markers]
     if unknown:
         msg = f"reference {', '.join(unknown)} is not among the markers {', '.join(tracks.markers)}"
@@ -107,6 +185,7 @@ def displacement_series(
     notes = (*notes, *zoom_notes)
     del every
     base, base_sd = (None, None) if reference is None else component(unit_vector, *reference)
+    follows_line = kind_of(tracks.kind).follows_line
     return DisplacementSeries(
         name=tracks.recording,
         time_s=tracks.time_s,
@@ -121,7 +200,7 @@ def displacement_series(
         base_sd=base_sd,
         rate_sd_ppm=tracks.time_axis.rate_sd_ppm,
         scale_change=zoom,
-        misleading=(*misleading_losses(tracks), *hidden_motion(tracks)),
+        misleading=(*misleading_lost_markers(tracks), *(codec_skipped(tracks) if follows_line else ())),
         position_errors=position_errors(
             np.stack([tracks.x_px, tracks.y_px])[:, :, moving],
             np.stack([tracks.sd_x_px, tracks.sd_y_px])[:, :, moving],
@@ -134,7 +213,7 @@ def displacement_series(
             predictive=tracks.decode.predictive,
             reordered=tracks.decode.reordered,
             # The noise of a template that all stations share is small; the codec's errors are not.
-            alike=tracks.kind == "line" and tracks.decode.lossy,
+            alike=follows_line and tracks.decode.lossy,
         ),
     )
 
@@ -169,13 +248,13 @@ def _zoom(
 ) -> tuple[ScaleChange | None, tuple[str, ...]]:
     """Change of the scale that the markers show, references included, and what the user must know of it."""
     # Of a line only one component of each station is measured.
-    if tracks.kind == "line":
+    if kind_of(tracks.kind).follows_line:
         return None, ()
     per_px = tracks.scale.mm_per_px if unit == "mm" and tracks.scale is not None else 1.0
     beside, beside_sd = np.zeros_like(rest), np.zeros_like(rest)
     if tracks.fixed_points_px is not None:
         beside = per_px * np.array([[1.0], [-1.0]]) * tracks.fixed_points_px
-        beside_sd = np.hypot(_FIXED_POINT_SHARE * beside, _FIXED_POINT_SD_PX * per_px)
+        beside_sd = np.hypot(TUNING.fixed_point_share * beside, TUNING.fixed_point_sd_px * per_px)
     seen = MarkersInFrames.of(
         tracks.time_s,
         centred,
@@ -195,7 +274,9 @@ def _zoom(
     middle_px = 0.5 * size[:, None] * np.array([[1.0], [-1.0]])
     from_middle = np.stack([median_over_time(tracks.x_px), -median_over_time(tracks.y_px)]) - middle_px
     turned = np.array([-direction[1], direction[0]])
-    distance_px = max(float(np.nanmax(np.abs(turned @ from_middle))), 0.25 * float(np.abs(turned) @ size))
+    distance_px = max(
+        float(np.nanmax(np.abs(turned @ from_middle))), TUNING.nearest_middle * float(np.abs(turned) @ size)
+    )
     return None, possible_zoom(seen, distance_px * per_px)
 
 

@@ -1,15 +1,38 @@
-"""Quality flags of a marker in a frame: one registry for data, documentation and decoder."""
+"""Quality flags of a marker in a frame: one registry for data, documentation and decoder.
+
+Severity of a quality flag: what it means for the result.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
-from tracker.severity import Severity
 
-# Shares of the frames below which a flag does not matter, and above which the rest may be selected by the motion.
-_RARE, _MOST = 0.01, 0.5
-# Relative increase of a standard deviation that matters.
-_NOTICEABLE = 0.1
+@dataclass(frozen=True)
+class Tuning:
+    """Shares of the frames from which a flag matters."""
+
+    #: [1] share of the frames below which a flag does not matter
+    #: convention: chosen; effect on the headline only
+    rare: float = 0.01
+    #: [1] share above which the frames that are left may be selected by the motion
+    #: convention: chosen; effect on the headline only
+    most: float = 0.5
+    #: [1] relative increase of a standard deviation that matters
+    #: convention: chosen; effect on the headline only
+    noticeable: float = 0.1
+
+
+TUNING = Tuning()
+
+
+class Severity(Enum):
+    """In order; the value states the meaning in report and documentation."""
+
+    WRONG = "The value may be wrong by more than its interval."
+    INTERVAL = "The interval is right, and wider for this reason; or part of the record is missing."
+    INFORMATION = "The value and its interval account for it."
 
 
 @dataclass(frozen=True)
@@ -33,10 +56,10 @@ class FlagDefinition:
         those that are left may be selected by the motion.
         """
         if self.severity is not Severity.INTERVAL:
-            return self.severity if share > _RARE else Severity.INFORMATION
-        if share > _MOST:
+            return self.severity if share > TUNING.rare else Severity.INFORMATION
+        if share > TUNING.most:
             return Severity.WRONG
-        return Severity.INTERVAL if (1.0 - share) ** -0.5 > 1.0 + _NOTICEABLE else Severity.INFORMATION
+        return Severity.INTERVAL if (1.0 - share) ** -0.5 > 1.0 + TUNING.noticeable else Severity.INFORMATION
 
 
 NOT_FOUND = FlagDefinition(

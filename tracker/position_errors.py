@@ -8,34 +8,69 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors that return with the motion, in standard deviations of a position in a frame."""
+
+    #: [sd] of either quadrature of an error that returns with the motion, for each harmonic, of templates learned from
+    #: 64 frames
+    #: measurement: rendered recordings: up to 0.12. Where a marker crosses much of a pixel the data determine the
+    #: error: a wide prior costs little
+    lossless_share: float = 0.12
+    #: [sd] the same of compressed frames
+    #: measurement: rendered recordings as MJPG: 0.2 to 0.4
+    lossy_share: float = 0.5
+    #: [sd] the same of stations of a compressed line, whose error is one function of the position
+    #: measurement: 25 films as MJPG: 0.31 for the period of the block, 0.14 for the shorter ones; 0.62 and 0.3 with
+    #: quality 8 instead of 3, where z of damping then is 1 (docs/studies/lines.md)
+    line_share: float = 0.4
+    #: [px] period of the last harmonic
+    #: convention: those shorter than a pixel are smaller in proportion
+    finest_px: float = 0.5
+    #: [sd] mean decrease of an amplitude in frames predicted from earlier ones only
+    #: measurement: 243 rendered films in nine settings of x264 and x265, which files do not state
+    #: (docs/studies/films.md)
+    forward_shrinkage: float = 0.3
+    #: [sd] the same in frames predicted from later ones, too
+    #: measurement: the same films
+    shrinkage: float = 0.5
+    #: [sd] standard deviation about both, a slow function of the amplitude
+    #: measurement: the same films
+    shrinkage_sd: float = 0.4
+    #: [sd] mean error out of phase in frames predicted from earlier ones only
+    #: measurement: the same films
+    forward_lag: float = 0.2
+    #: [sd] standard deviation about it
+    #: measurement: the same films
+    forward_lag_sd: float = 1.5
+    #: [sd] the same where frames are predicted from later ones, too; their mean is 0
+    #: measurement: the same films
+    lag_sd: float = 0.25
+    #: [sd] of a position, below which these errors grow
+    #: measurement: there encoders may repeat frames (docs/studies/films.md)
+    small_amplitude: float = 5.0
+    #: [sd] of a position, down to which they do
+    smallest_amplitude: float = 2.0
+    #: [sd] error of an amplitude in frames compressed one by one
+    #: measurement: without it the intervals of 94 films of 20 px from MJPG are 1.27 times too narrow; 0.03 gives 1.15,
+    #: 0.045 1.03 (docs/studies/films.md)
+    lossy_shrinkage: float = 0.04
+    #: [px] largest motion from frame to frame at which half of the standard deviations is left
+    #: measurement: there the encoder must follow: nine settings of encoders (docs/studies/films.md)
+    followed_px: float = 1.0
+    #: [px] the same of the means
+    #: measurement: settings differ most from 0.5 px to 1 px (docs/studies/films.md)
+    mean_followed_px: float = 0.5
+    #: [1] along an image axis with a smaller component of the displacement the phase of the error hardly changes
+    least_component: float = 0.05
+
+
+TUNING = Tuning()
+
 # Period of the error: template noise depends on the position within the pixel, the error of a compressed frame on the
 # position within its block.
 PIXEL_PX, BLOCK_PX = 1.0, 8.0
-# The harmonics of the period reach down to half a pixel; those shorter than a pixel are smaller in proportion.
-FINEST_PX = 0.5
-# Standard deviation of either quadrature of such an error, relative to that of a position in a frame, and per square
-# root of the number of harmonics down to a pixel. Rendered recordings: up to 0.12 for templates learned from 64 frames,
-# 0.2 to 0.4 for MJPG. Where a marker crosses much of a pixel the data determine the error: a wide prior costs little.
-LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
-# Of stations of a line, whose error is one function of the position, in 25 films from MJPG: 0.31 for the period of the
-# block, 0.14 for the shorter ones; 0.62 and 0.3 with more compression (quality 8 instead of 3), z of damping then is 1.
-LINE_SHARE = 0.4
-# Frames predicted from others omit a part of small motions and may lag. Means in standard deviations of a position, for
-# frames predicted from earlier ones only and from later ones, too, and the sd about them: of 243 rendered films in nine
-# settings of x264 and x265 (docs/films.md), which files do not state. Both vary slowly with the amplitude.
-FORWARD_SHRINKAGE, SHRINKAGE, SHRINKAGE_SD = 0.3, 0.5, 0.4
-FORWARD_LAG, FORWARD_LAG_SD, LAG_SD = 0.2, 1.5, 0.25
-# They grow where the amplitude is below the first number of standard deviations of a position, down to the second:
-# encoders may then repeat frames.
-SMALL_AMPLITUDE, SMALLEST_AMPLITUDE = 5.0, 2.0
-# Frames compressed one by one change the amplitude, too, whatever the motion: without this share the intervals of 94
-# films of 20 px from MJPG are 1.27 times too narrow.
-LOSSY_SHRINKAGE = 0.04
-# Half of that is left where the largest motion from one frame to the next is this many px: there the encoder must
-# follow. The mean fades earlier: settings differ most from 0.5 px to 1 px.
-FOLLOWED_PX, MEAN_FOLLOWED_PX = 1.0, 0.5
-# Along an image axis with a smaller component of the displacement the phase of the error hardly changes.
-LEAST_COMPONENT = 0.05
 
 
 @dataclass(frozen=True)
@@ -88,16 +123,16 @@ class PositionErrors:
         """
         if not self.predicted:
             return np.ones_like(step)
-        followed_px = MEAN_FOLLOWED_PX if of_mean else FOLLOWED_PX
+        followed_px = TUNING.mean_followed_px if of_mean else TUNING.followed_px
         return np.asarray(1.0 / (1.0 + (self.along_px[channel] * step / followed_px) ** 4))
 
     def growth(self, channel: int, amplitude: FloatArray) -> FloatArray:
         """Factor on shrinkage and lag, mean and sd, at small amplitudes."""
         if not self.predicted:
             return np.ones_like(amplitude)
-        sd = self.shrinkage_sd[channel] / SHRINKAGE_SD
+        sd = self.shrinkage_sd[channel] / TUNING.shrinkage_sd
         return np.asarray(
-            np.hypot(1.0, SMALL_AMPLITUDE * sd / np.maximum(amplitude, SMALLEST_AMPLITUDE * sd))
+            np.hypot(1.0, TUNING.small_amplitude * sd / np.maximum(amplitude, TUNING.smallest_amplitude * sd))
         )
 
     def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
@@ -116,7 +151,7 @@ def harmonics(positions_px: FloatArray, period_px: float = PIXEL_PX) -> FloatArr
     """Weighted cosine and sine of each harmonic of the period at n positions; shape (n, q)."""
     turn = 2.0 * np.pi * positions_px / period_px
     waves = []
-    for order in range(1, round(period_px / FINEST_PX) + 1):
+    for order in range(1, round(period_px / TUNING.finest_px) + 1):
         weight = min(1.0, period_px / order) / np.sqrt(period_px)
         waves += [weight * np.cos(order * turn), weight * np.sin(order * turn)]
     return np.column_stack(waves)
@@ -161,7 +196,7 @@ def position_errors(
     """
     in_image = np.array([direction[0], -direction[1]])
     # The error of predicted frames depends on the frames before: it is no periodic function of the position.
-    axes = np.flatnonzero((np.abs(in_image) > LEAST_COMPONENT) & (not predictive))
+    axes = np.flatnonzero((np.abs(in_image) > TUNING.least_component) & (not predictive))
     typical = _median(sd)
     variance_px = np.tensordot(in_image**2, sd_px**2, axes=1)
     if correlation is not None:
@@ -169,12 +204,15 @@ def position_errors(
             variance_px + 2.0 * in_image[0] * in_image[1] * correlation * sd_px[0] * sd_px[1], 0.0
         )
     per_px = typical / _median(np.sqrt(variance_px))
-    share = LINE_SHARE if alike else LOSSY_SHARE if lossy else LOSSLESS_SHARE
-    shrinkage, lag, shrinkage_sd, lag_sd = 0.0, 0.0, LOSSY_SHRINKAGE if lossy else 0.0, 0.0
+    share = TUNING.line_share if alike else TUNING.lossy_share if lossy else TUNING.lossless_share
+    shrinkage, lag, shrinkage_sd, lag_sd = 0.0, 0.0, TUNING.lossy_shrinkage if lossy else 0.0, 0.0
     largest = typical if moving_sd is None else np.fmax(typical, moving_sd)
     if predictive:
-        shrinkage, shrinkage_sd = SHRINKAGE if reordered else FORWARD_SHRINKAGE, SHRINKAGE_SD
-        lag, lag_sd = (0.0, LAG_SD) if reordered else (FORWARD_LAG, FORWARD_LAG_SD)
+        shrinkage, shrinkage_sd = (
+            TUNING.shrinkage if reordered else TUNING.forward_shrinkage,
+            TUNING.shrinkage_sd,
+        )
+        lag, lag_sd = (0.0, TUNING.lag_sd) if reordered else (TUNING.forward_lag, TUNING.forward_lag_sd)
     return PositionErrors(
         rest_px=np.array([_median(xy_px[axis]) for axis in axes]).reshape(axes.size, typical.size),
         px_per_unit=in_image[axes, None] / per_px,

@@ -8,59 +8,98 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FlagArray, FloatArray, IntArray
+from tracker.checks import Failure
+from tracker.columns import Column, table_row
 from tracker.flags import format_flags
-from tracker.geometry.lens import Lens
-from tracker.geometry.plane import PlaneMap
-from tracker.geometry.scale import Scale
-from tracker.geometry.time_axis import TimeAxis
-from tracker.geometry.view import Positions, median_over_time, rectified
+from tracker.geometry import Lens, PlaneMap, Positions, Scale, TimeAxis, median_over_time, rectified
 from tracker.position_errors import PositionErrors
 from tracker.scale_change import ScaleChange
 
 if TYPE_CHECKING:
     import pandas as pd
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """When a file is cut off."""
+
+    #: [1] share of the declared frames below which missing ones are no alert
+    #: statistics: they change no standard deviation by more than 1.5 times this share: that of a damping ratio grows
+    #: with the length of the record to the power of -1.5
+    worth_an_alert: float = 0.01
+    #: [frames] and this many
+    #: convention: containers miscount by one or two
+    miscounted: float = 2.0
+
+
+TUNING = Tuning()
+
 __all__ = [
+    "CORRELATION_COLUMN",
     "TRACK_COLUMNS",
     "DecodeReport",
     "DisplacementSeries",
     "FailedTracking",
     "FrameStrip",
     "MarkerTracks",
-    "PositionErrors",
     "Scale",
-    "ScaleChange",
     "TimeAxis",
 ]
 
-# Columns of `MarkerTracks.to_dataframe` and of the tracks file.
+
+class _Part(NamedTuple):
+    """Some frames of the tracks: the table has a row for each of them and each marker."""
+
+    tracks: MarkerTracks
+    mm: Positions
+    rows: slice
+    flag_names: dict[int, str]
+
+    def each_frame(self, values: NDArray[Any]) -> NDArray[Any]:
+        return np.repeat(values[self.rows], len(self.tracks.markers))
+
+    def each(self, values: NDArray[Any]) -> NDArray[Any]:
+        return values[self.rows].ravel()
+
+    def marker(self) -> NDArray[Any]:
+        return np.tile(np.array(self.tracks.markers, dtype=object), self.tracks.frame[self.rows].size)
+
+    def flags(self) -> list[str]:
+        return [self.flag_names[int(value)] for value in self.each(self.tracks.flags)]
+
+
+# Of `MarkerTracks.to_dataframe` and of the tracks file.
 TRACK_COLUMNS = (
-    "frame",
-    "time_s",
-    "marker",
-    "x_px",
-    "y_px",
-    "sd_x_px",
-    "sd_y_px",
-    "x_mm",
-    "y_mm",
-    "sd_x_mm",
-    "sd_y_mm",
-    "flags",
+    Column("frame", "1", "number of the frame, from 0", lambda part: part.each_frame(part.tracks.frame)),
+    Column("time_s", "s", "time of the frame", lambda part: part.each_frame(part.tracks.time_s)),
+    Column("marker", "", "name of the marker", _Part.marker),
+    Column("x_px", "px", "position, to the right", lambda part: part.each(part.tracks.x_px)),
+    Column("y_px", "px", "position, downwards", lambda part: part.each(part.tracks.y_px)),
+    Column("sd_x_px", "px", "standard deviation of x", lambda part: part.each(part.tracks.sd_x_px)),
+    Column("sd_y_px", "px", "standard deviation of y", lambda part: part.each(part.tracks.sd_y_px)),
+    Column("x_mm", "mm", "position, to the right", lambda part: part.each(part.mm.x)),
+    Column("y_mm", "mm", "position, upwards", lambda part: part.each(part.mm.y)),
+    Column("sd_x_mm", "mm", "standard deviation of x", lambda part: part.each(part.mm.sd_x)),
+    Column("sd_y_mm", "mm", "standard deviation of y", lambda part: part.each(part.mm.sd_y)),
+    Column("flags", "", "names of the flags, joined by a vertical bar", _Part.flags),
+)
+# Only where the errors of x and y are not independent.
+CORRELATION_COLUMN = Column(
+    "correlation_xy",
+    "1",
+    "only of a line, measured across it: +1 or -1, the errors of x and y are one",
+    lambda part: part.each(part.tracks.correlation_xy),
 )
 
 # Predictive codecs whose decoder reports damage. Codecs that store the parts of a frame that change: damage stays.
 _SHOW_DAMAGE = frozenset({"h264", "mpeg2video", "wmv2"})
 _PARTS_OF_FRAMES = frozenset({"apng", "gif"})
-# Share of the declared frames below which missing ones change no standard deviation by more than 1.5 times this share
-# (that of a damping ratio grows with the length of the record to the power of -1.5); containers miscount by one or two.
-_WORTH_AN_ALERT = 0.01
 
 
 @dataclass(frozen=True)
@@ -93,7 +132,7 @@ class DecodeReport:
         With the times that these frames take where their rate is given.
         """
         declared, read = self.frames_declared, self.frames_decoded + self.frames_corrupt
-        if declared - read <= max(2.0, _WORTH_AN_ALERT * declared):
+        if declared - read <= max(TUNING.miscounted, TUNING.worth_an_alert * declared):
             return ""
         lasts = f", {read / frames_per_s:.3g} s of {declared / frames_per_s:.4g} s" if frames_per_s else ""
         return f"the file is cut off: {read} of the {declared} frames that it declares could be read{lasts}"
@@ -222,21 +261,10 @@ class MarkerTracks:
 
         mm = self.positions("mm")
         text = {int(value): format_flags(int(value)) for value in np.unique(self.flags)}
-        m = len(self.markers)
+        columns = TRACK_COLUMNS if self.correlation_xy is None else (*TRACK_COLUMNS, CORRELATION_COLUMN)
         for first in range(0, max(self.frame.size, 1), frames_each):
-            rows = slice(first, first + frames_each)
-            columns: dict[str, Any] = {
-                "frame": np.repeat(self.frame[rows], m),
-                "time_s": np.repeat(self.time_s[rows], m),
-                "marker": np.tile(np.array(self.markers, dtype=object), self.frame[rows].size),
-                **{n: getattr(self, n)[rows].ravel() for n in ("x_px", "y_px", "sd_x_px", "sd_y_px")},
-                **{f"{n}_mm": getattr(mm, n)[rows].ravel() for n in ("x", "y", "sd_x", "sd_y")},
-                "flags": [text[int(value)] for value in self.flags[rows].ravel()],
-            }
-            table = pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
-            if self.correlation_xy is not None:
-                table["correlation_xy"] = self.correlation_xy[rows].ravel()
-            yield table
+            part = _Part(self, mm, slice(first, first + frames_each), text)
+            yield pd.DataFrame(table_row(columns, part))
 
     def plot(self, ax: Any = None) -> Any:
         """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""
@@ -265,21 +293,16 @@ class MarkerTracks:
 
 
 @dataclass(frozen=True)
-class FailedTracking:
-    """A recording that could not be tracked: falsy, with the reason.
+class FailedTracking(Failure):
+    """A recording that could not be tracked; `where` is its name.
 
     ``seen_px``, shape (c, 2), holds the positions of marker candidates in the first good frame, when there is one;
     ``proposed_px``, shape (k, 2), points of it with texture that moves, which could be followed as patches.
     """
 
-    recording: str
-    reason: str
     first_frame: NDArray[np.uint8] | None = None
     seen_px: FloatArray | None = None
     proposed_px: FloatArray | None = None
-
-    def __bool__(self) -> bool:
-        return False
 
 
 @dataclass(frozen=True, repr=False)

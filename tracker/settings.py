@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tracker.geometry.lens import Lens
-from tracker.geometry.time_axis import MAX_RATE_SD_PPM
+from tracker.geometry import Lens, time_axis
 from tracker.settings_base import Finite, Fps, Length, NonNegative, Options, Point, Positive, Settings
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Limits of settings."""
+
+    #: [characters] of a marker
+    #: convention: names become headings of tables and labels in files of other programs
+    longest_name: int = 24
+    #: [px] side of a patch
+    #: measurement: learning a template takes 2.3 kB for each px^2 of the window (from 480 to 1280 px): 0.6 GB, and 12 s
+    largest_patch_px: float = 500.0
+
+
+TUNING = Tuning()
 
 ClampSide = Literal["top", "bottom", "left", "right"]
 PatchShape = Literal["square", "round"]
 LineFeature = Literal["strip", "edge", "auto"]
-_LONGEST_NAME = 24
-# Learning a template takes 2.3 kB for each px^2 of the window (measured from 480 to 1280 px): 0.6 GB, and 12 s.
-_LARGEST_PATCH_PX = 500.0
 # They become headings of tables and labels in files of other programs.
-_NAME = re.compile(rf"[A-Za-z](?:[A-Za-z0-9 _.-]{{0,{_LONGEST_NAME - 2}}}[A-Za-z0-9_.-])?")
+_NAME = re.compile(rf"[A-Za-z](?:[A-Za-z0-9 _.-]{{0,{TUNING.longest_name - 2}}}[A-Za-z0-9_.-])?")
 
 
 def _kind(value: object) -> str:
     if value != "auto":
         # Detectors are slow to load, and few recordings name a kind.
-        from tracker.markers.registry import marker_kind  # noqa: PLC0415
+        from tracker.markers import marker_kind  # noqa: PLC0415
 
         marker_kind(str(value))
     return str(value)
@@ -33,7 +45,7 @@ def _kind(value: object) -> str:
 
 def _known_kinds(schema: dict[str, Any]) -> None:
     """Complete the JSON schema of `kind` with the registered kinds, from which the documentation is generated."""
-    from tracker.markers.registry import AUTO, MARKER_KINDS  # noqa: PLC0415
+    from tracker.markers import AUTO, MARKER_KINDS  # noqa: PLC0415
 
     schema["enum"] = [*MARKER_KINDS, AUTO]
 
@@ -42,7 +54,7 @@ def _dictionary(value: object) -> str:
     if value == "auto":
         return "auto"
     # OpenCV is slow to load, and few recordings name a dictionary.
-    from tracker.markers.codes import dictionary_names  # noqa: PLC0415
+    from tracker.markers import dictionary_names  # noqa: PLC0415
 
     names = dictionary_names()
     if value not in names:
@@ -66,8 +78,8 @@ def _marker_names(names: tuple[str, ...]) -> tuple[str, ...]:
     bad = next((name for name in names if not _NAME.fullmatch(name)), None)
     if bad is not None:
         msg = (
-            f"expected a name of up to {_LONGEST_NAME} letters, digits, spaces, '_', '-' and '.', which begins with a "
-            f"letter; found {bad!r}"
+            f"expected a name of up to {TUNING.longest_name} letters, digits, spaces, '_', '-' and '.', which begins "
+            f"with a letter; found {bad!r}"
         )
         raise ValueError(msg)
     return names
@@ -82,7 +94,7 @@ class CameraOptions(Options):
         "file is usually the playback rate.",
         examples=[1000.0],
     )
-    fps_tolerance_ppm: Annotated[float, Field(ge=0.0, le=MAX_RATE_SD_PPM)] | None = Field(
+    fps_tolerance_ppm: Annotated[float, Field(ge=0.0, le=time_axis.TUNING.max_rate_sd_ppm)] | None = Field(
         default=None,
         description="Relative standard deviation of the frame rate in parts per million, part of the interval of every "
         "frequency. Without it: 0 for a given fps and for a table, 50 for the rate of a camera's header, 1000 for the "
@@ -129,7 +141,7 @@ class MarkerOptions(Options):
         description="Side of an ArUco marker (outer edge of its black border), or diameter of a dot.",
         examples=[12.0],
     )
-    size_px: Annotated[Positive, Field(le=_LARGEST_PATCH_PX)] | None = Field(
+    size_px: Annotated[Positive, Field(le=TUNING.largest_patch_px)] | None = Field(
         default=None,
         description="Side or diameter of the window of a patch; chosen from the local texture when not given.",
         examples=[31.0],
@@ -215,12 +227,9 @@ class TrackerSettings(MarkerOptions, CameraOptions, Settings):
     @model_validator(mode="after")
     def _kind_has_its_settings(self) -> Any:
         if self.kind != "auto":
-            from tracker.markers.registry import marker_kind  # noqa: PLC0415 - as above
+            from tracker.markers import marker_kind  # noqa: PLC0415 - as above
 
             missing = marker_kind(self.kind).missing_setting(self)
             if missing is not None:
                 raise ValueError(missing)
-        if self.names is not None and self.kind == "line":
-            msg = "names are those of separate markers, and the stations of a line are s1, s2, ...: remove names"
-            raise ValueError(msg)
         return self

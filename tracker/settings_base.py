@@ -12,6 +12,7 @@ import re
 import reprlib
 import typing
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any
 
@@ -26,16 +27,32 @@ from pydantic import (
     model_validator,
 )
 
-MAX_FPS = 10**9
-# Of the text of a frame rate; its exponent has at most two digits.
-_MOST_CHARACTERS = 60
+
+@dataclass(frozen=True)
+class Tuning:
+    """Limits of options."""
+
+    #: [1/s] largest frame rate
+    #: convention: chosen; no camera is near it
+    max_fps: int = 10**9
+    #: [characters] of the text of a frame rate
+    #: convention: a fraction of two whole numbers has fewer
+    most_characters: int = 60
+    #: [1] that a message lists
+    #: convention: a few lines of text
+    most_problems: int = 8
+    #: [characters] of a key in a message
+    #: convention: a line of text
+    longest_key: int = 120
+
+
+TUNING = Tuning()
+
 _EXPONENT = re.compile(r"^[^eE]*([eE][+-]?[0-9]{1,2})?$")
 # Annotations of numbers; those of true or false have no number in them.
 _NUMBER = re.compile(r"\b(int|float)\b")
-_MOST_PROBLEMS = 8
-_LONGEST_KEY = 120
 _SHORT = reprlib.Repr()
-_SHORT.maxstring = _SHORT.maxother = _LONGEST_KEY
+_SHORT.maxstring = _SHORT.maxother = TUNING.longest_key
 
 
 def parse_fps(value: object) -> Fraction:
@@ -54,13 +71,13 @@ def parse_fps(value: object) -> Fraction:
     # Of the text: 59.94 is 5994/100, not the nearest binary number.
     text = str(value).strip()
     # The fraction of 1e999999999 would have a billion digits.
-    if len(text) > _MOST_CHARACTERS or not _EXPONENT.search(text):
+    if len(text) > TUNING.most_characters or not _EXPONENT.search(text):
         raise ValueError(msg)
     try:
         fps = Fraction(text)
     except (ValueError, ZeroDivisionError):
         raise ValueError(msg) from None
-    if not 0 < fps <= MAX_FPS:
+    if not 0 < fps <= TUNING.max_fps:
         raise ValueError(msg)
     return fps
 
@@ -81,7 +98,7 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # In mm or mm/px, from nanometres to kilometres, and in Hz: beyond, the unit is another one.
 Length = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
-Frequency = Annotated[float, Field(ge=1e-9, le=MAX_FPS, allow_inf_nan=False)]
+Frequency = Annotated[float, Field(ge=1e-9, le=TUNING.max_fps, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 
 
@@ -146,14 +163,14 @@ def problems(error: ValidationError, model: type[BaseModel]) -> Iterator[str]:
     """
     listed: set[type[BaseModel]] = set()
     for count, detail in enumerate(error.errors()):
-        if count == _MOST_PROBLEMS:
+        if count == TUNING.most_problems:
             yield f"and {error.error_count() - count} more"
             return
         path = ".".join(str(part + 1) if isinstance(part, int) else part for part in detail["loc"])
         if detail["type"] == "extra_forbidden":
             section = section_at(model, detail["loc"][:-1])
             known = list(section.model_fields)
-            close = difflib.get_close_matches(str(detail["loc"][-1])[:_LONGEST_KEY], known, n=1)
+            close = difflib.get_close_matches(str(detail["loc"][-1])[: TUNING.longest_key], known, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             if not close and section not in listed:
                 listed.add(section)

@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import median_filter
 
 from tracker.arrays import FloatArray
 
-# A line of the spectrum exceeds the median over this number of bins by this factor; a bin of noise by up to about ten.
-_NEIGHBOURS, _LINE = 101, 30.0
-_LEAST_FRAMES = 64
-# A camera that moves slowly has lines, too. A drift without a period reaches this bin, twice the half width of the main
-# lobe of the window; motion slower than 1 Hz is left to the baseline (`modal_id.data.baseline`). Below the larger of
-# both, amplitudes count by this power of the share of it: 8 px at 0.5 Hz count like 0.12 px, less than the 0.3 px of a
-# decay from 2.9 px at 10 Hz with 0.5 % of damping under the window of 20 s.
-_DRIFT_BINS, _CEILING_HZ = 4.0, 1.0
-_ORDER = 6
+
+@dataclass(frozen=True)
+class Tuning:
+    """Lines of the spectrum, and slow ones that may be the camera."""
+
+    #: [bins] whose median is the level of the spectrum
+    neighbours: int = 101
+    #: [1] a line exceeds that level by this factor in power
+    #: statistics: a bin of noise exceeds it by up to about ten
+    line: float = 30.0
+    #: [frames] without which the direction is that of the largest variance
+    least_frames: int = 64
+    #: [bins] up to which a drift without a period reaches
+    #: physics: twice the half width of the main lobe of the window
+    drift_bins: float = 4.0
+    #: [Hz] slower motion may be that of the camera
+    #: convention: it is left to the baseline (`modal_id.data.baseline`)
+    ceiling_hz: float = 1.0
+    #: [1] power of the share of that frequency by which slower amplitudes count less
+    #: physics: 8 px at 0.5 Hz count like 0.12 px, less than the 0.3 px of a decay from 2.9 px at 10 Hz with 0.5 % of
+    #: damping under the window of 20 s
+    order: int = 6
+
+
+TUNING = Tuning()
 
 
 def vibration_direction(centred: FloatArray, frame_s: float | None = None) -> FloatArray:
@@ -36,7 +54,7 @@ def vibration_direction(centred: FloatArray, frame_s: float | None = None) -> Fl
     if not known.any():
         return np.array([1.0, 0.0])
     filled = np.where(known, centred, 0.0)
-    if centred.shape[1] >= _LEAST_FRAMES:
+    if centred.shape[1] >= TUNING.least_frames:
         power = _power(filled)
         lines = _lines(_largest(power))
         if np.any(lines):
@@ -61,7 +79,7 @@ def stronger_across(centred: FloatArray, direction: FloatArray, frame_s: float) 
     Parameters as for `vibration_direction`; a drift without a period counts as the slowest line of the record.
     """
     filled = np.where(np.isfinite(centred).all(axis=0), centred, 0.0)
-    if filled.shape[1] < _LEAST_FRAMES:
+    if filled.shape[1] < TUNING.least_frames:
         return ()
     power = _power(filled)
     lines = np.flatnonzero(_lines(_largest(power)))
@@ -106,12 +124,14 @@ def component(direction: FloatArray, xy: FloatArray, variance: FloatArray) -> tu
 
 def _share(frames: int, frame_s: float | None) -> FloatArray:
     """Share of the power in each bin that counts; shape (bins,)."""
-    return np.asarray(np.minimum(np.arange(frames // 2 + 1) / _slowest(frames, frame_s), 1.0) ** (2 * _ORDER))
+    return np.asarray(
+        np.minimum(np.arange(frames // 2 + 1) / _slowest(frames, frame_s), 1.0) ** (2 * TUNING.order)
+    )
 
 
 def _slowest(frames: int, frame_s: float | None) -> float:
     """Bin of the slowest line that counts fully."""
-    return max(_DRIFT_BINS, 0.0 if frame_s is None else _CEILING_HZ * frames * frame_s)
+    return max(TUNING.drift_bins, 0.0 if frame_s is None else TUNING.ceiling_hz * frames * frame_s)
 
 
 def _turned(direction: FloatArray) -> FloatArray:
@@ -142,5 +162,5 @@ def _lines(power: FloatArray) -> FloatArray:
     """
     bins = np.arange(power.size)
     velocity = power * np.sin(0.5 * np.pi * bins / bins[-1]) ** 2
-    level = median_filter(velocity, min(_NEIGHBOURS, velocity.size // 2), mode="reflect")
-    return np.asarray(velocity > _LINE * np.maximum(level, 1e-300))
+    level = median_filter(velocity, min(TUNING.neighbours, velocity.size // 2), mode="reflect")
+    return np.asarray(velocity > TUNING.line * np.maximum(level, 1e-300))

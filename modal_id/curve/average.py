@@ -2,28 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from modal_id.curve.law_fit import LawFit
 from modal_id.curve.laws import CONSTANT, PowerLaw, SaturatingLaw, SplineLaw, StiffnessLaw
 from modal_id.curve.track import ANGULAR_CHANGE, DECAY_CHANGE, Track, follow
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.fit import ModalFit, own_decay
 from modal_id.results import AmplitudeCurve
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# Prior standard deviations of the changes of decay rate and frequency over all amplitudes, relative to the rates; of
-# power laws and the saturating law.
-_LAW_DECAY_CHANGE = 2.0
-_LAW_ANGULAR_CHANGE = 0.02
+
+@dataclass(frozen=True)
+class Tuning:
+    """Laws of the damping and their average."""
+
+    #: [1] prior sd of the change of the decay rate over all amplitudes, over the rate
+    #: convention: Chosen; effect not measured.
+    law_decay_change: float = 2.0
+    #: [1] prior sd of the change of the frequency over all amplitudes, over the frequency
+    #: convention: Chosen; effect not measured.
+    law_angular_change: float = 0.02
+    #: [1] log odds against a law that is left out of the average
+    #: physics: exp(-40) of the weight.
+    negligible: float = 40.0
+    #: [1] points of the curve
+    #: convention: Chosen; effect not measured.
+    points: int = 41
+    #: [1] residual power over the noise up to which a law is adequate
+    #: convention: Chosen; effect not measured.
+    adequate: float = 1.5
+    #: [1] the same from which it is not
+    #: convention: Chosen; effect not measured.
+    inadequate: float = 2.5
+
+
+TUNING = Tuning()
+
 # The same for splines and for stiffness alone, which are averaged over these scales.
 _DECAY_SCALES = (0.1, 0.4, DECAY_CHANGE)
 _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
-# Logarithm of the odds against a law that is left out of the average.
-_NEGLIGIBLE = 40.0
-_POINTS = 41
-# Residual powers, relative to the noise, up to which a law is adequate and from which it is not.
-_ADEQUATE, _INADEQUATE = 1.5, 2.5
 # Starting values of the powers of a saturating law.
 _POWERS = (2.0, 4.0)
 
@@ -55,9 +74,9 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
         probability[fit.law.name] = probability.get(fit.law.name, 0.0) + float(weight)
     law = max(probability, key=lambda name: probability[name])
     laws = [fit for _, fit in fits]
-    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
+    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, TUNING.points - 1)])
     left = track.residual_power(best[1])
-    doubt = float(np.clip((left - _ADEQUATE) / (_INADEQUATE - _ADEQUATE), 0.0, 1.0))
+    doubt = float(np.clip((left - TUNING.adequate) / (TUNING.inadequate - TUNING.adequate), 0.0, 1.0))
     decay, decay_sd = _mixture(weights, laws, amplitude, 0, doubt)
     angular, angular_sd = _mixture(weights, laws, amplitude, 1, doubt)
     omega = np.hypot(decay, angular)
@@ -81,7 +100,7 @@ def _log_weight(fit: tuple[float, LawFit]) -> float:
 
 
 def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
-    return _log_weight(best) - _log_weight(fit) < _NEGLIGIBLE
+    return _log_weight(best) - _log_weight(fit) < TUNING.negligible
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:
@@ -95,7 +114,7 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
     spline = flexible.law
     assert isinstance(spline, SplineLaw)  # noqa: S101 - `follow` fits no other
     at = spline.rates(spline.knot_amplitudes, flexible.parameters)
-    decay_sd, angular_sd = _LAW_DECAY_CHANGE * track.decay, _LAW_ANGULAR_CHANGE * track.angular
+    decay_sd, angular_sd = TUNING.law_decay_change * track.decay, TUNING.law_angular_change * track.angular
     change = [float(at.decay[-1] - at.decay[1]), float(at.angular[-1] - at.angular[1])]
     small = [float(at.decay[1]), float(at.angular[1])]
     for powers in ((1.0, 2.0), (1.0, 1.0)):

@@ -7,19 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import Problem
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import Problem
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# Cycles in the shortest block, and the largest number of blocks.
-_CYCLES = 2.0
-_MAX_BLOCKS = 300
-_LEAST_SAMPLES = 8
-_MAX_CONDITION = 1e8
+
+@dataclass(frozen=True)
+class Tuning:
+    """Blocks of the amplitude curve."""
+
+    #: [cycles] shortest block
+    #: convention: Chosen; effect not measured.
+    cycles: float = 2.0
+    #: [1] blocks at most
+    #: convention: Chosen; effect not measured.
+    max_blocks: int = 300
+    #: [samples] fewest samples of a block
+    #: convention: Chosen; effect not measured.
+    least_samples: int = 8
+    #: [1] condition above which a block is left out
+    #: physics: Rounding of 1e-16 leaves eight digits.
+    max_condition: float = 1e8
+    #: [1] reference over its largest value below which a block contains nothing of the mode
+    #: physics: Above rounding.
+    faded: float = 1e-12
+
+
+TUNING = Tuning()
+
 # Samples whose columns are held at a time.
 _SAMPLES = 65_536
-# A block in which the reference is below this share of its largest value contains nothing of the mode.
-_FADED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -56,7 +73,7 @@ def split_into_blocks(
     """
     data = problem.data
     time_s = data.time_s
-    cycles = max(_CYCLES, np.ceil(data.span_s * frequency_hz / _MAX_BLOCKS))
+    cycles = max(TUNING.cycles, np.ceil(data.span_s * frequency_hz / TUNING.max_blocks))
     number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     at_once = max(1, _SAMPLES * (edges.size - 1) // number.size)
@@ -67,7 +84,7 @@ def split_into_blocks(
         whole_s = 0.8 * cycles / frequency_hz
         parts.append(_fit(data.rows(rows), own - own[0], reference[rows], shape, noise_variance, whole_s))
     total, weight, scale, mean_s = (np.concatenate(part) for part in zip(*parts, strict=True))
-    used = (weight > 0.0) & (scale > _FADED * np.max(scale))
+    used = (weight > 0.0) & (scale > TUNING.faded * np.max(scale))
     total, weight, scale = total[used], weight[used], scale[used]
     return Blocks(mean_s[used], np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))
 
@@ -86,7 +103,7 @@ def _fit(
     """
     time_s, starts, count = data.time_s, edges[:-1], np.diff(edges)
     first, last = time_s[starts], time_s[starts + count - 1]
-    whole = (count >= _LEAST_SAMPLES) & (last - first >= whole_s)
+    whole = (count >= TUNING.least_samples) & (last - first >= whole_s)
     scale = np.maximum(np.maximum.reduceat(np.abs(reference), starts), 1e-300)
     wave = reference / np.repeat(scale, count)
     since = (time_s - np.repeat(0.5 * (first + last), count)) / np.repeat(
@@ -123,8 +140,8 @@ def _inverses(
         own = columns[:, row] * weights
         normal[:, row, row:] = _block_sums(own[:, None] * columns[:, row:], starts)
         normal[:, row:, row] = normal[:, row, row:]
-    enough = np.add.reduceat((weights > 0.0).astype(np.intp), starts) >= _LEAST_SAMPLES
+    enough = np.add.reduceat((weights > 0.0).astype(np.intp), starts) >= TUNING.least_samples
     normal[~enough] = np.eye(p)
-    known = enough & (np.linalg.cond(normal) <= _MAX_CONDITION)
+    known = enough & (np.linalg.cond(normal) <= TUNING.max_condition)
     normal[~known] = np.eye(p)
     return np.asarray(np.linalg.inv(normal), dtype=float), np.asarray(known, dtype=bool)

@@ -8,16 +8,31 @@ import numpy as np
 
 from modal_id.curve.laws import Law
 from modal_id.curve.quadrature import LawDecay, decay_of_law
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
-_MAX_ITERATIONS = 40
-_MAX_HALVINGS = 10
-# Converged where twice the gain in log posterior density of a further step is smaller: a step of a thirtieth of a
-# standard deviation.
-_CONVERGED = 1e-3
-# The same where no step succeeds because of rounding or of the steps of the quadrature.
-_CONVERGED_TO_ROUNDING = 0.05
-_MAX_CONDITION = 1e14
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of a law."""
+
+    #: [1] iterations
+    #: convention: Chosen; effect not measured.
+    max_iterations: int = 40
+    #: [1] halvings of a step
+    #: convention: Chosen; effect not measured.
+    max_halvings: int = 10
+    #: [1] twice the gain in log posterior density of a further step at convergence
+    #: statistics: A step of a thirtieth of a standard deviation.
+    converged: float = 1e-3
+    #: [1] the same where no step succeeds because of rounding or the quadrature
+    #: statistics: A step of a fifth of a standard deviation.
+    converged_to_rounding: float = 0.05
+    #: [1] condition above which the fit has failed
+    #: physics: Rounding of 1e-16 leaves two digits.
+    max_condition: float = 1e14
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -61,7 +76,7 @@ def fit_law(
     """
     fitting = _Fitting(law, time_s, measured, variance)
     now = fitting.at(start)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(TUNING.max_iterations):
         if now is None:
             return None
         normal, pull = fitting.normal(now)
@@ -70,14 +85,14 @@ def fit_law(
         if not np.all(np.isfinite(scaled)):
             return None
         values, vectors = np.linalg.eigh(scaled)
-        if values[0] <= values[-1] / _MAX_CONDITION:
+        if values[0] <= values[-1] / TUNING.max_condition:
             return None
         vectors *= scale[:, None]
         covariance = np.asarray((vectors / values) @ vectors.T)
         step = covariance @ pull
-        better = None if float(pull @ step) < _CONVERGED else fitting.move(now, step)
+        better = None if float(pull @ step) < TUNING.converged else fitting.move(now, step)
         if better is None:
-            if float(pull @ step) > _CONVERGED_TO_ROUNDING:
+            if float(pull @ step) > TUNING.converged_to_rounding:
                 return None
             return fitting.result(now, covariance, normal)
         now = better
@@ -133,7 +148,7 @@ class _Fitting:
         return normal, pull
 
     def move(self, now: _At, step: FloatArray) -> _At | None:
-        for _ in range(_MAX_HALVINGS):
+        for _ in range(TUNING.max_halvings):
             trial = self.solve(now.values + step)
             if trial is not None and trial.objective < now.objective:
                 return trial

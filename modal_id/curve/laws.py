@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Name of the law without changes.
 CONSTANT = "constant"

@@ -9,15 +9,32 @@ from numba import njit
 from numpy.typing import NDArray
 
 from modal_id.curve.laws import Law, Rates
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 # Points of the quadrature; the trapezoidal rule then errs by about 1e-5 in ln a and in the phase in radians.
 _POINTS = 800
-# Below this amplitude, exp(-14), the rates are those at zero amplitude.
-_DEEPEST = 14.0
-_FAR = 1e4
-_DEEPER = 1.5
-_ATTEMPTS = 8
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Integration of the amplitude."""
+
+    #: [1] logarithm of the amplitude below which rates are those at zero
+    #: physics: exp(-14) = 8e-7 of the largest.
+    deepest: float = 14.0
+    #: [1] log amplitude below the largest that stands for zero amplitude
+    #: convention: Chosen; effect not measured.
+    far: float = 1e4
+    #: [1] factor on the depth where it does not suffice
+    #: convention: Chosen; effect not measured.
+    deeper: float = 1.5
+    #: [1] times that it is deepened
+    #: convention: Chosen; effect not measured.
+    attempts: int = 8
+
+
+TUNING = Tuning()
+
 # Samples at a time.
 _BLOCK = 65_536
 
@@ -92,13 +109,13 @@ class _Path:
 
 def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
     # Depths in steps: small changes of the parameters leave the points of the quadrature unchanged.
-    steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(_DEEPER)
-    depth = min(float(_DEEPER ** np.ceil(steps)), _DEEPEST)
-    for _ in range(_ATTEMPTS):
+    steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(TUNING.deeper)
+    depth = min(float(TUNING.deeper ** np.ceil(steps)), TUNING.deepest)
+    for _ in range(TUNING.attempts):
         u = np.linspace(0.0, -depth, _POINTS)
-        if depth == _DEEPEST:
+        if depth == TUNING.deepest:
             # One interval of constant rates to the end of any record.
-            u = np.append(u, -_FAR)
+            u = np.append(u, -TUNING.far)
         rates = law.rates(np.exp(u), parameters)
         # Rates at amplitudes that the record does not reach are not restricted.
         reached = int(np.argmin(np.append(rates.decay > 0.0, False)))
@@ -108,9 +125,9 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
         time = _integral(u, 1.0 / rates.decay)
         if time[-1] >= end_s:
             return _Path(u, rates, time, rates.angular - float(rates.angular[-1]))
-        if reached < _POINTS or depth == _DEEPEST:
+        if reached < _POINTS or depth == TUNING.deepest:
             return None
-        depth = min(_DEEPER * depth, _DEEPEST)
+        depth = min(TUNING.deeper * depth, TUNING.deepest)
     return None
 
 

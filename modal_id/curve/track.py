@@ -10,22 +10,43 @@ from modal_id.curve.blocks import split_into_blocks
 from modal_id.curve.law_fit import LawFit, fit_law
 from modal_id.curve.laws import Law, SplineLaw
 from modal_id.curve.quadrature import wave_of_law
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import frequency_hz, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.fit import ModalFit
+from modal_id.solve import Problem, frequency_hz, own_problem
+from tracker import ComplexArray, FloatArray
 
-_LEAST_BLOCKS = 12
-# Blocks are used up to the first whose amplitude is below this many standard deviations.
-_LEAST_SNR = 4.0
-# Sum of squared amplitudes over noise variance, from a block to the end, that determines the rates at its amplitude.
-_LEAST_ENERGY = 100.0
-# Half the window, in blocks, over which the noise is averaged.
-_WINDOW = 7
-_PASSES = 3
-_KNOTS_PER_UNIT = 3.0
-_MOST_KNOTS = 16
-_BLOCKS_PER_KNOT = 4
+
+@dataclass(frozen=True)
+class Tuning:
+    """The flexible law of the amplitude curve."""
+
+    #: [blocks] fewest blocks
+    #: convention: Chosen; effect not measured.
+    least_blocks: int = 12
+    #: [sd] amplitude of the first block that is no longer used
+    #: convention: Chosen; effect not measured.
+    least_snr: float = 4.0
+    #: [1] sum of squared amplitudes over noise variance, to the end, that determines the rates
+    #: statistics: Ten standard deviations.
+    least_energy: float = 100.0
+    #: [blocks] half the window over which the noise is averaged
+    #: convention: Chosen; effect not measured.
+    window: int = 7
+    #: [1] passes of noise and fit
+    #: convention: Chosen; effect not measured.
+    passes: int = 3
+    #: [1] knots per unit of the log amplitude
+    #: convention: Chosen; effect not measured.
+    knots_per_unit: float = 3.0
+    #: [1] knots at most
+    #: convention: Chosen; effect not measured.
+    most_knots: int = 16
+    #: [blocks] blocks to a knot, at least
+    #: convention: Chosen; effect not measured.
+    blocks_per_knot: int = 4
+
+
+TUNING = Tuning()
+
 # Prior standard deviations of the changes of the flexible law, relative to decay rate and frequency.
 DECAY_CHANGE, ANGULAR_CHANGE = 1.6, 0.0125
 
@@ -73,8 +94,8 @@ class Track:
     def spline(self, decay_change: float = DECAY_CHANGE, angular_change: float = ANGULAR_CHANGE) -> SplineLaw:
         """Spline over the track's amplitudes; changes relative to the rates of the constant pole."""
         bend = min(2.0 * self.lowest, 1.0)
-        most = min(_MOST_KNOTS, self.time_s.size // _BLOCKS_PER_KNOT)
-        knots = int(np.clip(2.0 + np.ceil(_KNOTS_PER_UNIT * np.log1p(1.0 / bend)), 3, most))
+        most = min(TUNING.most_knots, self.time_s.size // TUNING.blocks_per_knot)
+        knots = int(np.clip(2.0 + np.ceil(TUNING.knots_per_unit * np.log1p(1.0 / bend)), 3, most))
         return SplineLaw(knots, decay_change * self.decay, angular_change * self.angular, bend)
 
 
@@ -90,7 +111,7 @@ def follow(own: ModalFit) -> tuple[Track, LawFit | None] | None:
     seen = _Seen(alone, linear.amplitudes[0], linear.noise_variance, pole)
     wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
     track, fitted, variance = None, None, None
-    for _ in range(_PASSES):
+    for _ in range(TUNING.passes):
         track = None if wave is None else seen.track(wave, variance)
         if track is None:
             return None
@@ -125,15 +146,15 @@ class _Seen:
         if not np.all(np.isfinite(wave)):
             return None
         blocks = split_into_blocks(self.alone, wave, self.shape, self.noise_variance, frequency)
-        if blocks.time_s.size < _LEAST_BLOCKS:
+        if blocks.time_s.size < TUNING.least_blocks:
             return None
         phase = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
         at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(1j * phase)
         measured = blocks.ratio * at
         between = _between_neighbours(blocks.ratio) * np.abs(at) ** 2
-        loud = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > _LEAST_SNR
+        loud = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > TUNING.least_snr
         last = int(np.argmin(np.append(loud, False)))
-        if last < _LEAST_BLOCKS:
+        if last < TUNING.least_blocks:
             return None
         known = (
             between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
@@ -145,7 +166,7 @@ def _track(
     time_s: FloatArray, measured: ComplexArray, variance: FloatArray, between: FloatArray, pole: complex
 ) -> Track:
     later = np.cumsum((np.abs(measured) ** 2 / variance)[::-1])[::-1]
-    at = int(np.count_nonzero(later > _LEAST_ENERGY)) - 1
+    at = int(np.count_nonzero(later > TUNING.least_energy)) - 1
     lowest = float(np.abs(measured[max(at, 0)]) / np.max(np.abs(measured)))
     return Track(time_s, measured, variance, between, min(lowest, 1.0), -pole.real, pole.imag)
 
@@ -172,7 +193,7 @@ def _start(track: Track, law: SplineLaw) -> FloatArray:
 def _between_neighbours(ratio: ComplexArray) -> FloatArray:
     """Variance of real and imaginary part from second differences, averaged over neighbouring blocks."""
     second = np.abs(ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) ** 2 / 12.0
-    return np.maximum(_moving_mean(np.pad(second, 1, mode="edge"), _WINDOW), 1e-20 * np.abs(ratio) ** 2)
+    return np.maximum(_moving_mean(np.pad(second, 1, mode="edge"), TUNING.window), 1e-20 * np.abs(ratio) ** 2)
 
 
 def _around(fitted: LawFit) -> FloatArray:
@@ -182,7 +203,7 @@ def _around(fitted: LawFit) -> FloatArray:
     stated variance, and once more because its weights are not the best ones.
     """
     own = 0.5 * np.abs(fitted.residual) ** 2 / np.maximum(1.0 - fitted.leverage, 0.3)
-    window = np.ones(2 * min(_WINDOW, (own.size - 1) // 2) + 1)
+    window = np.ones(2 * min(TUNING.window, (own.size - 1) // 2) + 1)
     count = np.convolve(np.ones(own.size), window, "same")
     dof = 2.0 * count
     mean = np.convolve(own, window, "same") / count

@@ -10,21 +10,34 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # The baseline contains frequencies up to this fraction of the lowest mode's, and at first up to the ceiling, which
 # `modal_id.fit.drift` may raise.
 RELATIVE_BANDWIDTH = 0.4
-_CEILING_HZ = 1.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Bandwidth of the baseline."""
+
+    #: [Hz] largest frequency of the baseline at first
+    #: convention: `modal_id.fit.drift` may raise it.
+    ceiling_hz: float = 1.0
+    #: [samples] rows up to which all are held in memory
+    #: convention: For memory.
+    few_rows: int = 200_000
+
+
+TUNING = Tuning()
+
 # Each sample lies in this many cubic splines; columns of a straight line.
 _OVERLAPPING, _OF_LINE = 4, 2
-# Rows up to which all are held.
-_FEW_ROWS = 200_000
 
 
 def bandwidth_hz(lowest_frequency_hz: float) -> float:
     """Highest frequency of the baseline when this is the lowest mode."""
-    return min(RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
+    return min(RELATIVE_BANDWIDTH * lowest_frequency_hz, TUNING.ceiling_hz)
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,7 @@ class Splines:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> csr_array:
         """Some rows of the columns, sparse."""
-        if self.time_s.size > _FEW_ROWS:
+        if self.time_s.size > TUNING.few_rows:
             return self._at(self.time_s[rows])
         # SciPy takes longer for a copy of all rows than for most products.
         is_all = isinstance(rows, slice) and rows.indices(self.time_s.size) == (0, self.time_s.size, 1)

@@ -6,26 +6,36 @@ Without these rows, half the rate of the samples is the limit, and the lowest al
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data.repeats import repeated_rows
 from modal_id.flags import ModeFlag
-from modal_id.results import FailedIdentification, Identification, IdentifiedMode
-from tracker.results import DisplacementSeries
+from modal_id.results import Identification, IdentifiedMode
+from tracker import DisplacementSeries, Failure
 
-# Share of the distances between samples that are a multiple of the usual one: longer where two samples are equal. A
-# clock that is no whole multiple of the other's has two distances, and equal samples of a coarse converter have any.
-_EVEN = 0.9
-_LEAST_SAMPLES = 12
+
+@dataclass(frozen=True)
+class Tuning:
+    """Samples held by a slower clock."""
+
+    #: [1] share of the distances that are a multiple of the usual one
+    #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
+    even: float = 0.9
+    #: [samples] fewest samples that show it
+    #: convention: Chosen; effect not measured.
+    least_samples: int = 12
+
+
+TUNING = Tuning()
 
 
 def sampled_rows(series: DisplacementSeries) -> tuple[NDArray[np.intp], int] | None:
     """Rows that carry a sample, and their distance in rows; None where every row may."""
     seen = np.flatnonzero(np.any(np.isfinite(series.values), axis=1))
-    if seen.size < _LEAST_SAMPLES:
+    if seen.size < TUNING.least_samples:
         return None
     steps = np.diff(series.time_s)
     if np.ptp(steps) > 0.5 * float(np.median(steps)):
@@ -35,12 +45,12 @@ def sampled_rows(series: DisplacementSeries) -> tuple[NDArray[np.intp], int] | N
     repeated = repeated_rows(values)
     repeated[1:] |= np.all((values[1:] == values[:-1]) | np.isnan(values[1:]), axis=1)
     rows = seen[~repeated]
-    if rows.size < _LEAST_SAMPLES:
+    if rows.size < TUNING.least_samples:
         return None
     lengths = np.diff(rows)
     held = int(np.median(lengths))
     # A sample equal to the one before lies a multiple later.
-    return (rows, held) if held > 1 and float(np.mean(lengths % held == 0)) > _EVEN else None
+    return (rows, held) if held > 1 and float(np.mean(lengths % held == 0)) > TUNING.even else None
 
 
 def of_rows(series: DisplacementSeries, rows: NDArray[np.intp]) -> DisplacementSeries:
@@ -57,18 +67,18 @@ def of_rows(series: DisplacementSeries, rows: NDArray[np.intp]) -> DisplacementS
 
 
 def in_all_rows(
-    found: Identification | FailedIdentification,
+    found: Identification | Failure,
     series: DisplacementSeries,
     rows: NDArray[np.intp],
     held: int,
-) -> Identification | FailedIdentification:
+) -> Identification | Failure:
     """What was found from `rows` in terms of the whole series, its modes with the other possible frequencies."""
     rate_hz = 1.0 / float(np.median(np.diff(series.time_s)))
     words = (
         f"Only one row in {held} carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
         "it or are empty): frequencies are the lowest that fit, below half that rate."
     )
-    if isinstance(found, FailedIdentification):
+    if isinstance(found, Failure):
         return replace(found, reason=f"{found.reason} {words}")
     size = series.values.shape
     fitted, baseline, used = np.full(size, np.nan), np.full(size, np.nan), np.zeros(size, dtype=bool)

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# Of a pause in steps, relative to the number of samples.
-_LONG = 10.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Pauses."""
+
+    #: [1] length of a pause in steps over the number of samples from which it is an error of the time stamps
+    #: convention: Chosen; effect not measured.
+    long: float = 10.0
+
+
+TUNING = Tuning()
 
 
 def longest_without_pause(time_s: FloatArray) -> tuple[int, int, str] | None:
@@ -19,7 +30,7 @@ def longest_without_pause(time_s: FloatArray) -> tuple[int, int, str] | None:
     if time_s.size < 2:
         return None
     step_s = np.diff(time_s)
-    pauses = np.flatnonzero(step_s > _LONG * time_s.size * np.median(step_s))
+    pauses = np.flatnonzero(step_s > TUNING.long * time_s.size * np.median(step_s))
     if not pauses.size:
         return None
     edges = np.concatenate([[0], pauses + 1, [time_s.size]])

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from modal_id.data.samples import runs
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# The rate at a sample is the median over `_STEPS` means, of `_AVERAGED` steps each: the means even out rounded time
-# stamps, and gaps do not count in the median.
-_STEPS, _AVERAGED = 33, 4
-# Rates that differ by less than this factor are one rate with jitter or samples missing, and so are stretches of less
-# than this share of samples and duration.
-_SAME_RATE = 1.9
-_LEAST_SHARE = 0.05
-_LISTED = 4
+
+@dataclass(frozen=True)
+class Tuning:
+    """One sampling rate."""
+
+    #: [1] means of which the rate at a sample is the median
+    #: convention: Gaps do not count in the median.
+    steps: int = 33
+    #: [steps] steps of each mean
+    #: convention: They even out rounded time stamps.
+    averaged: int = 4
+    #: [1] factor below which rates are one rate with jitter or samples missing
+    #: physics: A missing sample doubles a step.
+    same_rate: float = 1.9
+    #: [1] share of samples and duration below which a stretch is no other rate
+    #: convention: Chosen; effect not measured.
+    least_share: float = 0.05
+    #: [1] rates that a message lists
+    #: convention: Chosen; effect not measured.
+    listed: int = 4
+
+
+TUNING = Tuning()
 
 
 def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
@@ -24,25 +41,26 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
     A motion above the Nyquist frequency of a slower stretch is an alias there and itself elsewhere: no one mode fits
     both.
     """
-    if time_s.size < 2 * _STEPS:
+    if time_s.size < 2 * TUNING.steps:
         return None
-    mean_s = uniform_filter1d(np.diff(time_s), _AVERAGED, mode="nearest")
-    step_s = np.maximum(median_filter(mean_s, _STEPS, mode="nearest"), 1e-300)
-    alike = np.abs(np.log(step_s / np.median(step_s))) < np.log(_SAME_RATE)
+    mean_s = uniform_filter1d(np.diff(time_s), TUNING.averaged, mode="nearest")
+    step_s = np.maximum(median_filter(mean_s, TUNING.steps, mode="nearest"), 1e-300)
+    alike = np.abs(np.log(step_s / np.median(step_s))) < np.log(TUNING.same_rate)
     for begin, end in runs(~alike):
         share = max((end - begin) / step_s.size, (time_s[end] - time_s[begin]) / (time_s[-1] - time_s[0]))
-        alike[begin:end] = share < _LEAST_SHARE
+        alike[begin:end] = share < TUNING.least_share
     if np.all(alike):
         return None
     stretches = sorted([*runs(alike), *runs(~alike)], key=lambda run: int(run[0]))
     first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
     listed = ", ".join(
         f"{1.0 / float(np.median(step_s[begin:end])):.4g} Hz from {time_s[begin]:.4g} s"
-        for begin, end in stretches[:_LISTED]
+        for begin, end in stretches[: TUNING.listed]
     )
     note = (
-        f"The sampling rate changes within the record ({listed}{', …' if len(stretches) > _LISTED else ''}): only the "
-        f"stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. Give the others as files of their own."
+        f"The sampling rate changes within the record ({listed}{', …' if len(stretches) > TUNING.listed else ''}): "
+        f"only the stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. "
+        "Give the others as files of their own."
     )
     # A step lies between two rows.
     return int(first), int(last) + 1, note

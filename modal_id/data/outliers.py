@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal_id.data.samples import FitData
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# In standard deviations estimated from the median absolute deviation: one good sample in two million is rejected.
-_LIMIT = 5.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rejection of outliers."""
+
+    #: [sd] deviation from which a sample is rejected
+    #: statistics: One good sample in two million.
+    limit: float = 5.0
+    #: [1] share of a channel that is rejected wherever it lies
+    #: convention: Chosen; effect not measured.
+    few: float = 0.03
+    #: [1] share that is rejected where the samples are spread at random
+    #: physics: The median absolute deviation itself is then a third too large.
+    most: float = 0.25
+    #: [samples] marked samples at the beginning from which they are misfit of the model
+    #: convention: Chosen; effect not measured.
+    least_misfit: int = 12
+    #: [1] share of the marked samples that lie there
+    #: convention: Chosen; effect not measured.
+    mostly: float = 0.8
+    #: [1] that part of the record
+    #: convention: Chosen; effect not measured.
+    beginning: float = 0.1
+    #: [sd] excess of marked samples there over chance
+    #: statistics: Chance exceeds it in 3e-7 of records.
+    excess_sd: float = 5.0
+
+
+TUNING = Tuning()
+
 _MAD_TO_SD = 1.4826
-# Up to this share of a channel is rejected wherever it lies. A larger share, up to `_MOST`, only where the samples are
-# spread at random over the record.
-_FEW = 0.03
-# The median absolute deviation itself is then a third too large.
-_MOST = 0.25
-# Marked samples are misfit of the model, not outliers, where at least this number has more than this share within this
-# first part of the record.
-_LEAST_MISFIT, _MOSTLY, _BEGINNING = 12, 0.8, 0.1
-_EXCESS_SD = 5.0
 
 
 def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
@@ -45,7 +64,7 @@ def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
     columns = zip(residual.T, root.T, used.T, strict=True)
     spread = np.array([np.median(np.abs(r[u]) * s[u]) if np.any(u) else 0.0 for r, s, u in columns])
     known = used & (spread > 0.0)
-    limit = np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=root, where=known)
+    limit = np.divide(TUNING.limit * _MAD_TO_SD * spread, root, out=root, where=known)
     limit[~known] = np.inf
     return np.asarray(limit)
 
@@ -71,15 +90,15 @@ def _are_scattered(bad: BoolArray) -> bool:
     A dozen or more that lie almost all in the beginning, where a decay is largest, are motion that the model lacks.
     """
     n, count = bad.size, int(np.count_nonzero(bad))
-    if count <= _FEW * n:
-        early = int(np.count_nonzero(bad[: int(_BEGINNING * n)]))
-        return count < _LEAST_MISFIT or early < _MOSTLY * count
-    if count > _MOST * n:
+    if count <= TUNING.few * n:
+        early = int(np.count_nonzero(bad[: int(TUNING.beginning * n)]))
+        return count < TUNING.least_misfit or early < TUNING.mostly * count
+    if count > TUNING.most * n:
         return False
     fraction = count / n
     neighbours = int(np.count_nonzero(bad[1:] & bad[:-1]))
     expected = n * fraction**2
     tenths = np.array([np.count_nonzero(part) for part in np.array_split(bad, 10)])
     spread = np.sqrt(0.1 * n * fraction * (1.0 - fraction))
-    even = np.max(np.abs(tenths - 0.1 * count)) < _EXCESS_SD * spread
-    return bool(even and neighbours < expected + _EXCESS_SD * np.sqrt(expected) + _EXCESS_SD)
+    even = np.max(np.abs(tenths - 0.1 * count)) < TUNING.excess_sd * spread
+    return bool(even and neighbours < expected + TUNING.excess_sd * np.sqrt(expected) + TUNING.excess_sd)

@@ -12,21 +12,34 @@ from modal_id.data.one_rate import longest_at_one_rate
 from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData
 from modal_id.data.saturation import last_saturated_row
-from tracker.arrays import BoolArray, FloatArray
-from tracker.results import DisplacementSeries
+from tracker import BoolArray, DisplacementSeries, FloatArray
 
 MIN_SAMPLES = 12
-_MIN_FINITE = 0.3
-# Range of a channel at rest, and smallest step, relative to the stated sd of its samples: the range of noise with this
-# sd is above three times the sd, so what is smaller is rounding, as of a film that was drawn without noise.
-_ROUNDING = 0.01
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which channels can be used."""
+
+    #: [1] share of finite samples below which a channel is left out
+    #: convention: Chosen; effect not measured.
+    min_finite: float = 0.3
+    #: [1] range of a channel over the stated sd below which it is rounding
+    #: physics: The range of noise with this sd is above three times the sd.
+    rounding: float = 0.01
+    #: [1] channels that a note names
+    #: convention: Chosen; effect not measured.
+    most_names: int = 8
+
+
+TUNING = Tuning()
+_ROUNDING = TUNING.rounding
+
 _AT_REST = f"no motion (the values change by less than {100.0 * _ROUNDING:g} % of their standard deviation)"
 _CLIPPED = (
     "the signal is clipped until the end of the record: too many samples share its largest or smallest value; reduce "
     "the amplitude or use a larger range; draw the markers of a synthetic film at fractions of a px, with gray edges"
 )
-# A note names at most this many channels.
-_MOST_NAMES = 8
 
 
 @dataclass(frozen=True)
@@ -136,7 +149,7 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
         good = series.values[finite[:, index], index]
         if name in misleading:
             for_reason.setdefault(misleading[name], []).append(name)
-        elif good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
+        elif good.size < max(MIN_SAMPLES, TUNING.min_finite * n):
             notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
         elif np.ptp(good) == 0.0:
             notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
@@ -153,8 +166,8 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
 
 def listed(names: list[str]) -> str:
     """Names of channels for a sentence, the first of many."""
-    more = len(names) - _MOST_NAMES
-    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - TUNING.most_names
+    return ", ".join(names[: TUNING.most_names]) + (f" and {more} more" if more > 0 else "")
 
 
 def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:

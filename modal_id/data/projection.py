@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammainc, gammaincinv
@@ -10,34 +10,53 @@ from scipy.special import gammainc, gammaincinv
 from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.prepare import Prepared, Projection
 from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 # Fewer channels are fitted directly.
 MOST_DIRECT = 16
-# Bins of the spectrum in a band; bands overlap by half. In its band a mode stands out that is below the noise of the
-# whole spectrum.
-_BAND_BINS = 16
-# Value of the Tracy-Widom law of order 1 that a band of noise exceeds with a probability of about 1e-4, as far as the
-# level is known that is estimated from the band (simulated: 2 to 4 are exceeded with 1e-2 to 1e-3).
-_TRACY_WIDOM = 5.0
-_MOST_COMPONENTS = 40
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Many channels projected on few components."""
+
+    #: [bins] bins of the spectrum in a band
+    #: convention: In its band a mode stands out that is below the noise of the whole spectrum.
+    band_bins: int = 16
+    #: [1] value of the Tracy-Widom law of order 1 above which a component is signal
+    #: statistics: Noise exceeds it with 1e-4, by simulation 2 to 4 with 1e-2 to 1e-3.
+    tracy_widom: float = 5.0
+    #: [1] components
+    #: convention: Chosen; effect not measured.
+    most_components: int = 40
+    #: [1] passes with all directions
+    #: convention: Chosen; effect not measured.
+    most_passes: int = 12
+    #: [sd] largest change of a value filled in at the end of the passes
+    #: convention: Chosen; effect not measured.
+    settled: float = 0.1
+    #: [sd] deviation from the mean of its neighbours above which a sample does not shape the first basis
+    #: convention: Chosen; effect not measured.
+    spike_sd: float = 8.0
+    #: [1] channels to a component below which nothing is projected
+    #: physics: The components are hardly less than the channels.
+    channels_each: int = 3
+    #: [1] noise over a channel's motion below which it is that of rounding
+    #: convention: Chosen; effect not measured.
+    least_noise: float = 1e-6
+    #: [1] measured noise over the stated sd below which it is not that of positions
+    #: measurement: Filmed forks in predictive codecs have 0.01 to 0.4, others 0.4 to 1.2.
+    least_of_stated: float = 0.5
+    #: [1] information on a component at an instant over that of all channels below which it is unseen
+    #: physics: Above rounding.
+    least_seen: float = 1e-9
+
+
+TUNING = Tuning()
+
 # Largest number of directions in the first passes: what interpolation does at outliers and missing samples is weaker
 # than the motion, and the passes replace it.
 _FIRST_PASSES = (2, 4, 8)
-# Passes with all directions, which end when no value that is filled in changes by more than this share of its noise.
-_MOST_PASSES, _SETTLED = 12, 0.1
-# A sample this many robust standard deviations from the mean of its neighbours does not shape the first basis.
-_SPIKE_SD = 8.0
-# With fewer channels to a component than this, the components are hardly less than the channels.
-_CHANNELS_EACH = 3
-# Noise below this share of a channel's motion is that of rounding.
-_LEAST_NOISE = 1e-6
-# Measured noise below this share of the stated sd is not that of positions: predictive codecs repeat the pixels of
-# stations that hardly move, whose errors then stay the same for many frames (filmed forks: 0.01 to 0.4, elsewhere 0.4
-# to 1.2).
-_LEAST_OF_STATED = 0.5
-# Information on a component that no channel seen at an instant shows, relative to that of all channels.
-_LEAST_SEEN = 1e-9
 
 
 def project(prepared: Prepared, components: int | None) -> Prepared:
@@ -71,11 +90,11 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
     k = data.values.shape[1]
     if components == 0 or k <= (MOST_DIRECT if components is None else components):
         return prepared
-    weights, least_sd = data.weights, _LEAST_OF_STATED * np.nan_to_num(prepared.stated_sd)
+    weights, least_sd = data.weights, TUNING.least_of_stated * np.nan_to_num(prepared.stated_sd)
     centred = _centred(data, weights)
     basis, filled = np.zeros((k, 0)), _interpolated(data.time_s, centred, weights)
-    most = components or min(_MOST_COMPONENTS, k // _CHANNELS_EACH)
-    for limit in (*_FIRST_PASSES, *(most,) * _MOST_PASSES):
+    most = components or min(TUNING.most_components, k // TUNING.channels_each)
+    for limit in (*_FIRST_PASSES, *(most,) * TUNING.most_passes):
         # what is filled in has no noise
         sd = np.maximum(_noise_sd(filled) / np.sqrt(np.mean(weights > 0.0, axis=0)), least_sd)
         basis = _basis(filled / sd, min(limit, most), always=components is not None)
@@ -89,9 +108,9 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
         weights = reject_outliers(data, data.weights, residual).weights
         # Large samples beside motion that is not in the basis yet are not rejected, but could enter it on their own.
         before, filled = filled, motion + np.where(weights > 0.0, sd * limited(data.weights, residual), 0.0)
-        if limit == most and float(np.max(np.abs(filled - before) / sd)) < _SETTLED:
+        if limit == most and float(np.max(np.abs(filled - before) / sd)) < TUNING.settled:
             break
-    if components is None and most == basis.shape[1] < _MOST_COMPONENTS:
+    if components is None and most == basis.shape[1] < TUNING.most_components:
         return prepared
     cleaned = FitData(data.time_s, data.values, weights)
     return _reduced(prepared, cleaned, centred / sd, basis, sd, least_sd)
@@ -140,7 +159,9 @@ def _interpolated(time_s: FloatArray, values: FloatArray, weights: FloatArray) -
         own = values[used, channel]
         bend = np.abs(own[1:-1] - 0.5 * (own[:-2] + own[2:]))
         around = np.pad(bend, 1)
-        spike = (bend > _SPIKE_SD * 1.4826 * np.median(bend)) & (bend >= np.maximum(around[:-2], around[2:]))
+        spike = (bend > TUNING.spike_sd * 1.4826 * np.median(bend)) & (
+            bend >= np.maximum(around[:-2], around[2:])
+        )
         kept = np.ones(used.size, dtype=bool)
         kept[1:-1] = ~spike
         if used.size < time_s.size or not np.all(kept):
@@ -158,7 +179,9 @@ def _noise_sd(values: FloatArray) -> FloatArray:
     window = np.hanning(values.shape[0])
     power = np.abs(np.fft.rfft(window[:, None] * values, axis=0)[1:]) ** 2
     variance = np.median(power, axis=0) / (np.log(2.0) * np.sum(window**2))
-    return np.asarray(np.sqrt(np.maximum(variance, _LEAST_NOISE**2 * np.mean(values**2, axis=0) + 1e-300)))
+    return np.asarray(
+        np.sqrt(np.maximum(variance, TUNING.least_noise**2 * np.mean(values**2, axis=0) + 1e-300))
+    )
 
 
 def _basis(whitened: FloatArray, most: int, *, always: bool) -> FloatArray:
@@ -170,10 +193,12 @@ def _basis(whitened: FloatArray, most: int, *, always: bool) -> FloatArray:
     # without the last bin of an even number of samples, which is real: its noise has twice the power
     inner = slice(1, (whitened.shape[0] + 1) // 2)
     spectrum = np.fft.rfft(whitened, axis=0)[inner] * np.sqrt(2.0 / whitened.shape[0])
-    step = _BAND_BINS // 2
+    step = TUNING.band_bins // 2
     bands = [
         np.concatenate([band.real, band.imag])
-        for band in (spectrum[i : i + _BAND_BINS] for i in range(0, max(1, spectrum.shape[0] - step), step))
+        for band in (
+            spectrum[i : i + TUNING.band_bins] for i in range(0, max(1, spectrum.shape[0] - step), step)
+        )
     ]
     found: list[FloatArray] = []
     while bands and len(found) < most:
@@ -211,7 +236,7 @@ def _largest_of_noise(shape: tuple[int, int], size: FloatArray) -> float:
     edge = (small + large) ** 2
     spread = (small + large) * (1.0 / small + 1.0 / large) ** (1.0 / 3.0)
     variance = float(np.median(size)) ** 2 / _median_of_noise(small, large)
-    return float(np.sqrt(variance * (edge + _TRACY_WIDOM * spread)))
+    return float(np.sqrt(variance * (edge + TUNING.tracy_widom * spread)))
 
 
 def _median_of_noise(small: float, large: float) -> float:
@@ -231,7 +256,9 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
     covariance = np.broadcast_to(np.eye(r), (n, r, r)).copy()
     for rows in np.array_split(np.flatnonzero(np.any(weights != 1.0, axis=1)), max(1, n // 256)):
         own = weights[rows]
-        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + _LEAST_SEEN * np.eye(r)
+        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + TUNING.least_seen * np.eye(
+            r
+        )
         covariance[rows] = np.linalg.inv(information)
         values[rows] = np.einsum("nqp,np->nq", covariance[rows], (own * whitened[rows]) @ basis)
     return values, covariance

@@ -2,35 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from modal_id.data.samples import runs
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# A repetition differs from the row before by less than these shares of a typical step and of a typical second
-# difference, which is that of the noise where the motion is slow.
-_SMALL = 0.2
-_SMALL_BEND = 0.15
-# Nor is it a repetition where steps exceed this share of the noise of a sample: at rest, all steps are noise.
-_SMALL_NOISE = 0.3
-_ORDER = 8
-# Samples predicted, evenly spread, which determine the noise to within 1 %.
-_MOST_WINDOWS = 50_000
-# Rows on either side with which a repetition is compared: motion and noise change during a decay.
-_AROUND = 100
-# Probability that a Gaussian step is smaller than a share of the median step, relative to that share.
-_BELOW_MEDIAN = 0.6
-# Probability, over all places of the record, that motion and noise look like the repetition by chance.
-_FALSE_ALARM = 1e-3
-# Resolution as a share of a typical step above which samples are often equal, and below which no two ever are.
-_COARSE = 0.01
-_FINE = 1e-4
-# A motion stalls where its steps are below this share of the largest among the rows on either side, and goes on in the
-# same direction. White noise does so in a quarter of this share of its rows.
-_STALLED = 0.05
-_NEARBY = 9
-_STALLED_SHARE = 0.2
+
+@dataclass(frozen=True)
+class Tuning:
+    """Samples repeated by the recorder."""
+
+    #: [1] difference of a repetition from the row before over a typical step, at most
+    #: convention: Chosen; effect not measured.
+    small: float = 0.2
+    #: [1] the same over a typical second difference
+    #: convention: That is the noise where the motion is slow.
+    small_bend: float = 0.15
+    #: [1] step over the noise of a sample above which there is no repetition
+    #: physics: At rest, all steps are noise.
+    small_noise: float = 0.3
+    #: [1] order of the prediction
+    #: convention: Chosen; effect not measured.
+    order: int = 8
+    #: [1] samples predicted, evenly spread
+    #: statistics: They determine the noise to within 1 %.
+    most_windows: int = 50_000
+    #: [samples] rows on either side with which a repetition is compared
+    #: physics: Motion and noise change during a decay.
+    around: int = 100
+    #: [1] probability that a Gaussian step is below a share of the median step, over that share
+    #: physics: 2 x 0.6745 x 0.399 = 0.54, rounded up.
+    below_median: float = 0.6
+    #: [1] probability, over the record, that motion and noise look like a repetition
+    #: statistics: One record in a thousand.
+    false_alarm: float = 1e-3
+    #: [1] resolution over a typical step above which samples are often equal
+    #: convention: Chosen; effect not measured.
+    coarse: float = 0.01
+    #: [1] resolution over a typical step below which no two samples are equal
+    #: convention: Chosen; effect not measured.
+    fine: float = 1e-4
+    #: [1] steps over the largest nearby below which a motion stalls
+    #: statistics: White noise does so in a quarter of this share of its rows.
+    stalled: float = 0.05
+    #: [samples] rows on either side
+    #: convention: Chosen; effect not measured.
+    nearby: int = 9
+    #: [1] share of stalled rows that is no chance
+    #: convention: Chosen; effect not measured.
+    stalled_share: float = 0.2
+
+
+TUNING = Tuning()
 
 
 def repeated_rows(values: FloatArray) -> BoolArray:
@@ -54,36 +80,36 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     if np.count_nonzero(finite) < 8 or not np.all(np.any(np.isfinite(bends), axis=0)):
         return repeated
     typical = _typical(steps[finite])
-    small = np.minimum(_SMALL_BEND * np.nanmedian(bends, axis=0), _SMALL_NOISE * _noise(values))
-    least = np.minimum(_SMALL, small / np.maximum(typical, 1e-300))
+    small = np.minimum(TUNING.small_bend * np.nanmedian(bends, axis=0), TUNING.small_noise * _noise(values))
+    least = np.minimum(TUNING.small, small / np.maximum(typical, 1e-300))
     resolution = _resolution(values)
-    if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
+    if np.any(typical <= 0.0) or np.any(resolution > TUNING.coarse * typical):
         return repeated
     # A row without a value is no repetition.
     step = np.max(np.where(finite[:, None], steps, np.inf) / typical, axis=1)
     bend = np.max(np.where(np.isfinite(bends), bends, np.inf) / typical, axis=1)
-    if np.all(resolution < _FINE * typical):
+    if np.all(resolution < TUNING.fine * typical):
         repeated[1:] = step == 0.0
     for start, end in runs(step < np.min(least)):
         # Rows start + 1 to end repeat row start.
         places = 1.0 if end == step.size else float(n)
-        if (end - start) * np.log(2.0 * _AROUND + 1.0) < np.log(places / _FALSE_ALARM):
+        if (end - start) * np.log(2.0 * TUNING.around + 1.0) < np.log(places / TUNING.false_alarm):
             # Too few to be significant whatever their size.
             continue
-        around = np.r_[max(start - _AROUND, 0) : start, end : min(end + _AROUND, step.size)]
+        around = np.r_[max(start - TUNING.around, 0) : start, end : min(end + TUNING.around, step.size)]
         log_p = _log_chance(step[start:end], step[around])
         if end - start > 1:
             around = around[around < bend.size]
             log_p = max(log_p, _log_chance(bend[start : end - 1], bend[around]))
-        if log_p < np.log(_FALSE_ALARM / places):
+        if log_p < np.log(TUNING.false_alarm / places):
             repeated[start + 1 : end + 1] = True
     stalls = _stalls(np.diff(values, axis=0) / typical)
-    return repeated | stalls if np.mean(stalls) > _STALLED_SHARE else repeated
+    return repeated | stalls if np.mean(stalls) > TUNING.stalled_share else repeated
 
 
 def _typical(steps: FloatArray) -> FloatArray:
     """Median step of each channel, without repetitions, which may be most rows; shape (k,)."""
-    moving = np.where(steps > _STALLED * np.sqrt(np.mean(steps**2, axis=0)), steps, np.nan)
+    moving = np.where(steps > TUNING.stalled * np.sqrt(np.mean(steps**2, axis=0)), steps, np.nan)
     if not np.all(np.any(steps > 0.0, axis=0)):
         return np.zeros(steps.shape[1])
     return np.asarray(np.nanmedian(moving, axis=0))
@@ -96,8 +122,8 @@ def _stalls(steps: FloatArray) -> BoolArray:
     """
     stalled = np.zeros(steps.shape[0] + 1, dtype=bool)
     size = np.max(np.where(np.isfinite(steps), np.abs(steps), np.inf), axis=1)
-    largest = maximum_filter1d(np.where(np.isfinite(size), size, 0.0), 2 * _NEARBY + 1)
-    for start, end in runs(size < _STALLED * largest):
+    largest = maximum_filter1d(np.where(np.isfinite(size), size, 0.0), 2 * TUNING.nearby + 1)
+    for start, end in runs(size < TUNING.stalled * largest):
         if start > 0 and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
             stalled[start + 1 : end + 1] = True
     return stalled
@@ -111,16 +137,16 @@ def _noise(values: FloatArray) -> FloatArray:
     """
     result = np.full(values.shape[1], np.inf)
     for channel, column in enumerate(values.T):
-        windows = np.lib.stride_tricks.sliding_window_view(column, _ORDER + 1)
-        windows = windows[:: 1 + windows.shape[0] // _MOST_WINDOWS]
+        windows = np.lib.stride_tricks.sliding_window_view(column, TUNING.order + 1)
+        windows = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
         windows = windows[np.all(np.isfinite(windows), axis=1)]
         for _ in range(8):
-            if windows.shape[0] <= 4 * _ORDER:
+            if windows.shape[0] <= 4 * TUNING.order:
                 break
             gram = windows.T @ windows
             past = gram[:-1, :-1]
             ridge = 1e-12 * np.trace(past) + 1e-300
-            weights = np.linalg.solve(past + ridge * np.eye(_ORDER), gram[:-1, -1])
+            weights = np.linalg.solve(past + ridge * np.eye(TUNING.order), gram[:-1, -1])
             error = windows[:, -1] - windows[:, :-1] @ weights
             spread = 1.4826 * float(np.median(np.abs(error)))
             result[channel] = spread / np.sqrt(1.0 + weights @ weights)
@@ -137,7 +163,7 @@ def _log_chance(values: FloatArray, around: FloatArray) -> float:
     if around.size < 8:
         return 0.0
     rank = (1.0 + np.searchsorted(np.sort(around), values, side="right")) / (around.size + 1.0)
-    share = _BELOW_MEDIAN * values / max(float(np.median(around)), 1e-300)
+    share = TUNING.below_median * values / max(float(np.median(around)), 1e-300)
     return float(np.sum(np.log(np.minimum(np.maximum(rank, share), 1.0))))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

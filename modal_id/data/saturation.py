@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from modal_id.data.samples import runs
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-_MIN_RUN = 4
-_MIN_RUNS = 2
-# A clipped run is this many times longer than a sine stays within one quantisation step of its peak.
-_FACTOR = 4.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Clipped runs."""
+
+    #: [samples] shortest clipped run
+    #: convention: Chosen; effect not measured.
+    min_run: int = 4
+    #: [1] fewest clipped runs
+    #: convention: Chosen; effect not measured.
+    min_runs: int = 2
+    #: [1] length of a clipped run over that of a sine within one step of its peak
+    #: convention: Chosen; effect not measured.
+    factor: float = 4.0
+
+
+TUNING = Tuning()
 
 
 def last_saturated_row(values: FloatArray, least_step: FloatArray | None = None) -> int | None:
@@ -41,7 +55,7 @@ def last_saturated_row(values: FloatArray, least_step: FloatArray | None = None)
 
 def _last_run(column: FloatArray, least_step: float) -> int | None:
     good = np.flatnonzero(np.isfinite(column))
-    if good.size < 4 * _MIN_RUN:
+    if good.size < 4 * TUNING.min_run:
         return None
     x = column[good]
     top, middle = float(np.max(x)), float(np.median(x))
@@ -51,7 +65,7 @@ def _last_run(column: FloatArray, least_step: float) -> int | None:
     at_top = x >= top - tolerance
     starts, ends = runs(at_top).T
     lengths = ends - starts
-    if np.max(lengths) <= _MIN_RUN:
+    if np.max(lengths) <= TUNING.min_run:
         return None
     crossings = np.count_nonzero(np.diff(x > middle))
     period = 2.0 * x.size / max(float(crossings), 1.0)
@@ -60,11 +74,11 @@ def _last_run(column: FloatArray, least_step: float) -> int | None:
     below = float(np.min(x[at_top])) - float(np.max(x[~at_top], initial=middle))
     resolution = max(below, float(np.min(steps[steps > least_step], initial=top - middle)))
     stay = period * np.sqrt(2.0 * (tolerance + resolution) / (top - middle)) / np.pi
-    long = lengths > max(_MIN_RUN, _FACTOR * stay)
+    long = lengths > max(TUNING.min_run, TUNING.factor * stay)
     # Peaks: the signal leaves the limit between them, unlike noise on a level that it has stepped to.
     peaks = np.flatnonzero(long)
     left = [np.min(x[ends[a] : starts[b]]) < 0.5 * (top + middle) for a, b in pairwise(peaks)]
-    if not peaks.size or np.count_nonzero(left) + 1 < _MIN_RUNS:
+    if not peaks.size or np.count_nonzero(left) + 1 < TUNING.min_runs:
         return None
     # Later and shorter runs at the same limit are clipped too.
     return int(good[ends[lengths >= 2][-1] - 1])

@@ -1,1 +1,5 @@
 """Which modes are in a decay, and what their poles are."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,19 +9,47 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.normal_equations import normal_equations, slope_weights
-from modal_id.solve.poles import PoleFit, objective, own_problem, thinning
-from modal_id.solve.waves import Beside, ModeColumns, no_columns, real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    Beside,
+    LinearSolution,
+    ModeColumns,
+    PoleFit,
+    Problem,
+    no_columns,
+    normal_equations,
+    objective,
+    own_problem,
+    real_columns,
+    slope_weights,
+    solve_linear,
+    thinning,
+)
+from tracker import ComplexArray, FloatArray
 
-_MAX_ITERATIONS = 25
-_MAX_HALVINGS = 8
-# Twice the gain in log likelihood of a further step: converged below, a thirtieth of a standard deviation.
-_CONVERGED = 1e-3
-# The same where rounding lets no step succeed.
-_CONVERGED_TO_ROUNDING = 0.05
-_MAX_CONDITION = 1e12
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the fit of damping that depends on the amplitude."""
+
+    #: [1] iterations of the fit
+    #: convention: Chosen; effect not measured.
+    max_iterations: int = 25
+    #: [1] halvings of a step before none succeeds
+    #: convention: Chosen; effect not measured.
+    max_halvings: int = 8
+    #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
+    #: statistics: A step of a thirtieth of a standard deviation.
+    converged: float = 1e-3
+    #: [1] the same where rounding lets no step succeed
+    #: statistics: A step of a fifth of a standard deviation.
+    converged_to_rounding: float = 0.05
+    #: [1] condition of the normal equations above which the fit has failed
+    #: physics: Rounding of 1e-16 leaves four digits.
+    max_condition: float = 1e12
+
+
+TUNING = Tuning()
+
 # Samples of a block at whose beginning the integrals are kept.
 _BLOCK = 4096
 
@@ -155,7 +183,7 @@ def _decay(
         slopes[row, 1] = t * turned
         slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
         slopes[row, 3] = area * turned
-    # one by one: see `sim.beam.ancf_kernels.elastic`
+    # one by one: see `sim.beam.ancf.elastic`
     state[0], state[1], state[2] = area, area_0, area_2
     state[3], state[4], state[5], state[6] = last, last_0, last_2, last_s
     return wave, slopes
@@ -180,21 +208,21 @@ def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> Ampli
 
 def _gauss_newton(problem: Problem, others: ModeColumns, start: FloatArray) -> AmplitudeFit | None:
     found = _solve(problem, start, others)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(TUNING.max_iterations):
         if found is None:
             return None
         tangent = found.tangent()
         information, gradient = normal_equations(problem, found.linear, *tangent)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         scaled = information * np.outer(scale, scale)
-        if not np.all(np.isfinite(information)) or np.linalg.cond(scaled) > _MAX_CONDITION:
+        if not np.all(np.isfinite(information)) or np.linalg.cond(scaled) > TUNING.max_condition:
             return None
         covariance = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=float)
         step = covariance @ gradient
         gain = float(gradient @ step)
-        moved = None if gain < _CONVERGED else _move(problem, step, others, found)
+        moved = None if gain < TUNING.converged else _move(problem, step, others, found)
         if moved is None:
-            converged = gain < _CONVERGED_TO_ROUNDING
+            converged = gain < TUNING.converged_to_rounding
             return (
                 AmplitudeFit(problem, found.parameters, covariance, found.linear, *tangent)
                 if converged
@@ -225,7 +253,7 @@ def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns) -> _So
 
 def _move(problem: Problem, step: FloatArray, others: ModeColumns, now: _Solved) -> _Solved | None:
     before = objective(problem.data, now.linear)
-    for _ in range(_MAX_HALVINGS):
+    for _ in range(TUNING.max_halvings):
         trial = _solve(problem, now.parameters + step, others)
         if trial is not None and objective(problem.data, trial.linear) < before:
             return trial

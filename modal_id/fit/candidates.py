@@ -10,14 +10,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.fit.spectrum import ResidualSpectrum, least_level, local_level, residual_spectrum
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
 # A mode that decays early is detectable in the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625, 0.0156, 0.0039)
-# In a beginning of fewer samples the level of the noise is too uncertain.
-_MIN_WINDOW_SAMPLES = 64
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Windows in which modes are looked for."""
+
+    #: [samples] shortest beginning of a record that is searched
+    #: convention: In fewer the level of the noise is too uncertain.
+    min_window_samples: int = 64
+
+
+TUNING = Tuning()
+
 # Bins whose level is computed at one time.
 _AT_ONCE = 64
 
@@ -80,7 +91,7 @@ def _windows(
     """Spectrum of the whole residual and of its beginnings, each with its duration in s."""
     for fraction in _WINDOW_FRACTIONS:
         count = _window(data, fraction)
-        if count < min(_MIN_WINDOW_SAMPLES, data.time_s.size):
+        if count < min(TUNING.min_window_samples, data.time_s.size):
             continue
         seen = spectrum if fraction == 1.0 else None
         if seen is None:
@@ -101,7 +112,7 @@ def _strongest(
         look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
     if not np.any(look):
         return None
-    peak, score = _largest_significant(spectrum, look)
+    peak, score = largest_significant(spectrum, look)
     if peak is None:
         return None
     return Candidate(_between_bins(spectrum, peak), 1.0 / span, score)
@@ -120,7 +131,7 @@ def _between_bins(spectrum: ResidualSpectrum, peak: int) -> float:
     return float(frequency[peak] + shift * (frequency[1] - frequency[0]))
 
 
-def _largest_significant(spectrum: ResidualSpectrum, look: BoolArray) -> tuple[int | None, float]:
+def largest_significant(spectrum: ResidualSpectrum, look: BoolArray) -> tuple[int | None, float]:
     """Bin of the mask with the largest power among those that exceed the threshold, None without one, and its score.
 
     The level is computed only for bins that exceed its lower bound, in order of their power.

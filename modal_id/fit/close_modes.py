@@ -6,27 +6,43 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
-from modal_id.solve.linear import LinearSolution, Problem
-from modal_id.solve.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
-from tracker.arrays import ComplexArray
+from modal_id.solve import LinearSolution, PoleFit, Problem, frequency_hz, gauss_newton, own_problem, thinning
+from tracker import ComplexArray
 
-# Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
-# rest.
-_REACH = 0.04
-_ITERATIONS = 30
-# Half the distance of the starting values, in bins of the record or of this number of decay times.
-_DECAY_TIMES = 3.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Pairs of close modes."""
+
+    #: [1] distance from the fitted mode, over its frequency, within which a pair is tried
+    #: convention: The selection of the order covers the rest.
+    reach: float = 0.04
+    #: [1] iterations of the fit of a pair
+    #: convention: Chosen; effect not measured.
+    iterations: int = 30
+    #: [decay times] time that sets half the distance of the starting values where the record is longer
+    #: convention: Chosen; effect not measured.
+    decay_times: float = 3.0
+    #: [1] amplitude of a second mode over the first below which there is no pair
+    #: convention: Chosen; effect not measured.
+    least_amplitude: float = 0.01
+    #: [1] amplitude over that of the other mode from which both of a pair count
+    #: convention: Chosen; effect not measured.
+    comparable: float = 0.25
+    #: [1] score of what the amplitude-dependent mode leaves, below which no pair is needed
+    #: statistics: The largest of 20 bins of noise.
+    least_misfit: float = 0.25
+    #: [1] factor on p log(n) of the information criterion for a pair
+    #: convention: 25 % more, because several starting values are tried.
+    caution: float = 1.25
+
+
+TUNING = Tuning()
+
 _GUESSES = (0.5, 1.0, 2.0, 4.0)
-_LEAST_AMPLITUDE = 0.01
-# Share of the amplitude of the other mode from which both of a pair count.
-_COMPARABLE = 0.25
-# Score of what the amplitude-dependent mode leaves, below which a pair is not needed: the largest of 20 bins of noise.
-_LEAST_MISFIT = 0.25
-# The criterion asks for p log(n); 25 % more, because several starting values are tried.
-_CAUTION = 1.25
 
 
 @dataclass(frozen=True)
@@ -48,9 +64,9 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     `spectrum` is that of the residual of all modes.
     """
     frequency = float(frequency_hz(fit.poles)[mode])
-    half = max(_REACH * frequency, 2.5 / problem.data.span_s)
+    half = max(TUNING.reach * frequency, 2.5 / problem.data.span_s)
     rate = abs(float(fit.poles[mode].real))
-    if rate * problem.data.span_s > 4.0 * _DECAY_TIMES:
+    if rate * problem.data.span_s > 4.0 * TUNING.decay_times:
         spectrum = _of_decay(problem.data, fit.linear, rate)
     if spectrum.misfit_score(frequency, half) < 1.0:
         return None
@@ -58,13 +74,13 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     alone = own_problem(problem, fit, mode)
     factor = thinning(alone.data.time_s, pole)
     alone = alone if factor < 2 else alone.thinned(factor)
-    single = gauss_newton(alone, pole, _ITERATIONS)
+    single = gauss_newton(alone, pole, TUNING.iterations)
     pair = _best_pair(alone, pole[0], half)
     if pair is None:
         return None
     amplitude_fit = fit_amplitude_dependence(alone, single, 0)
     one = single.linear if amplitude_fit is None else amplitude_fit.linear
-    if _of_decay(alone.data, one, rate).misfit_score(frequency, half) < _LEAST_MISFIT:
+    if _of_decay(alone.data, one, rate).misfit_score(frequency, half) < TUNING.least_misfit:
         return None
     if not _better(alone, pair.linear, single.linear, frequency, 2) or not _better(
         alone, pair.linear, one, frequency, 2 if amplitude_fit is None else 0
@@ -76,14 +92,14 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
 
 def _of_decay(data: FitData, linear: LinearSolution, rate_per_s: float) -> ResidualSpectrum:
     """Spectrum of the residual during the decay: noise long after the decay would hide its misfit."""
-    part = data.rows(data.time_s < 2.0 * _DECAY_TIMES / max(rate_per_s, 1e-300))
+    part = data.rows(data.time_s < 2.0 * TUNING.decay_times / max(rate_per_s, 1e-300))
     return residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
 
 
 def strong_poles(poles: ComplexArray, amplitudes: ComplexArray) -> ComplexArray:
     """Poles of the modes with at least a quarter of the largest amplitude; `amplitudes` has shape (m, k)."""
     size = np.max(np.abs(amplitudes), axis=1)
-    return np.asarray(poles[size >= _COMPARABLE * np.max(size)])
+    return np.asarray(poles[size >= TUNING.comparable * np.max(size)])
 
 
 def are_resolved(poles: ComplexArray, span_s: float) -> bool:
@@ -99,14 +115,14 @@ def are_resolved(poles: ComplexArray, span_s: float) -> bool:
 def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
     centre = float(frequency_hz(pole))
     # In a record much longer than the decay, only the decay distinguishes frequencies.
-    span = min(alone.data.span_s, _DECAY_TIMES / max(abs(pole.real), 1e-300))
+    span = min(alone.data.span_s, TUNING.decay_times / max(abs(pole.real), 1e-300))
     strongest = _strongest_hz(alone, centre, half_hz)
     found: list[PoleFit] = []
     for middle in (centre, strongest):
         for guess in _GUESSES:
             offset_rad_s = 2.0 * np.pi * guess / span
             start = -1.0 / span + 2j * np.pi * middle + 1j * offset_rad_s * np.array([-1.0, 1.0])
-            fit = gauss_newton(alone, start, _ITERATIONS)
+            fit = gauss_newton(alone, start, TUNING.iterations)
             if _is_plausible(fit, centre, half_hz):
                 found.append(fit)
     return min(found, key=lambda fit: float(np.sum(fit.linear.rss)), default=None)
@@ -124,7 +140,9 @@ def _is_plausible(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
         return False
     size = np.max(np.abs(fit.linear.amplitudes), axis=1)
     near = np.all(np.abs(frequency_hz(fit.poles) - centre_hz) < half_hz)
-    return bool(near and np.all(fit.poles.real < 0.0) and np.min(size) > _LEAST_AMPLITUDE * np.max(size))
+    return bool(
+        near and np.all(fit.poles.real < 0.0) and np.min(size) > TUNING.least_amplitude * np.max(size)
+    )
 
 
 def _better(
@@ -134,4 +152,4 @@ def _better(
     data, k = alone.data, alone.data.values.shape[1]
     level = residual_spectrum(data, pair.residual, pair.noise_variance).level(frequency_hz) / k
     drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(level, 1e-300)
-    return bool(drop > _CAUTION * (2.0 * k + poles) * np.log(np.sum(data.counts)))
+    return bool(drop > TUNING.caution * (2.0 * k + poles) * np.log(np.sum(data.counts)))

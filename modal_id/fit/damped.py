@@ -10,35 +10,73 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData, rough_variance
+from modal_id.data import FitData, bandwidth_hz, baseline_splines, rough_variance
 from modal_id.fit.candidates import Candidate
 from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
-from modal_id.solve.waves import ModeColumns, no_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    LinearSolution,
+    ModeColumns,
+    PoleFit,
+    Problem,
+    damping_ratio,
+    fit_poles,
+    frequency_hz,
+    no_columns,
+    objective,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray, FloatArray
 
 MAX_DAMPING = 0.7
-# Random walks, creep and coloured noise reach a score of 3; in a record of fewer than five cycles of the fitted mode up
-# to 75 over the square of their number, and with fits near critical damping several times more. A mode of zeta 0.2 at
-# 40 dB reaches thousands.
-_LEAST_SCORE = 4.0
-_MANY_CYCLES = 5.0
-_NEARLY_CRITICAL, _NEARLY_CRITICAL_FACTOR = 0.4, 5.0
 
-# Decay rates differ by this factor, frequencies by this share of the half-power half-width.
-_RATE_STEP = 1.7
-_FREQUENCY_STEP = 0.6
-# After this many decay times no energy of a wave is left.
-_DECAY_TIMES = 5.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Strongly damped modes."""
+
+    #: [1] score from which a strongly damped wave counts
+    #: measurement: Random walks, creep and coloured noise reach 3; a mode of zeta 0.2 at 40 dB reaches thousands.
+    least_score: float = 4.0
+    #: [cycles] record of the fitted mode from which the score needs no allowance
+    #: measurement: With fewer, such records reach up to 75 over the square of their number.
+    many_cycles: float = 5.0
+    #: [1] damping ratio from which a higher score is required
+    #: measurement: Fits near critical damping reach several times more in random walks.
+    nearly_critical: float = 0.4
+    #: [1] factor on the score there
+    #: measurement: As above.
+    nearly_critical_factor: float = 5.0
+    #: [1] ratio of successive decay rates of the search
+    #: convention: Chosen; effect not measured.
+    rate_step: float = 1.7
+    #: [half-widths] distance of successive frequencies of the search, in half-power half-widths
+    #: convention: Chosen; effect not measured.
+    frequency_step: float = 0.6
+    #: [decay times] length of the part that is searched for a wave
+    #: physics: exp(-10) of its energy is left.
+    decay_times: float = 5.0
+    #: [1] largest decay rate over the Nyquist rate
+    #: convention: Chosen; effect not measured.
+    max_rate_per_nyquist: float = 0.8
+    #: [samples] samples per cycle to which the record is thinned
+    #: convention: Chosen; effect not measured.
+    samples_per_cycle: float = 8.0
+    #: [samples] fewest samples of a part that is searched
+    #: convention: Chosen; effect not measured.
+    min_samples: int = 8
+    #: [1] candidates that are scored by a fit
+    #: convention: Chosen; effect not measured.
+    scored: int = 32
+    #: [sd] power of the first samples above that of noise from which waves are looked for
+    #: statistics: Six standard deviations of a chi-square: chance is negligible.
+    excess: float = 6.0
+
+
+TUNING = Tuning()
+
+
 _ZETA_RANGE = (0.02, 0.8)
-_MAX_RATE_PER_NYQUIST = 0.8
-_SAMPLES_PER_CYCLE = 8.0
-_MIN_SAMPLES = 8
-_SCORED = 32
-# Standard deviations of the power of the first samples above that of noise.
-_EXCESS = 6.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +136,7 @@ def _exceeds_noise(data: FitData, linear: LinearSolution) -> bool:
     level = np.sum(power[half:], axis=0) / np.maximum(np.count_nonzero(data.weights[half:], axis=0), 1)
     total = np.cumsum(np.sum(power / np.maximum(level, 1e-300), axis=1))
     count = np.cumsum(np.count_nonzero(data.weights, axis=1))
-    return bool(np.any(total > count + _EXCESS * np.sqrt(2.0 * count)))
+    return bool(np.any(total > count + TUNING.excess * np.sqrt(2.0 * count)))
 
 
 def _rough(data: FitData, candidate: Candidate) -> complex | None:
@@ -128,9 +166,9 @@ def is_above_noise(data: FitData, before: FloatArray, linear: LinearSolution, po
 
 
 def _least_score(pole: complex, span_s: float) -> float:
-    few = max(1.0, _MANY_CYCLES / (float(frequency_hz(pole)) * span_s)) ** 2
-    critical = float(damping_ratio(pole)) > _NEARLY_CRITICAL
-    return _LEAST_SCORE * few * (_NEARLY_CRITICAL_FACTOR if critical else 1.0)
+    few = max(1.0, TUNING.many_cycles / (float(frequency_hz(pole)) * span_s)) ** 2
+    critical = float(damping_ratio(pole)) > TUNING.nearly_critical
+    return TUNING.least_score * few * (TUNING.nearly_critical_factor if critical else 1.0)
 
 
 def _is_damped(pole: complex, data: FitData) -> bool:
@@ -146,7 +184,7 @@ def damped_score(
     Scaled like ``Candidate.score``: significant above 1.
     """
     last = data.time_s[0] - 3.0 / pole.real
-    count = max(int(np.searchsorted(data.time_s, last, side="right")), min(_SCORED, data.time_s.size))
+    count = max(int(np.searchsorted(data.time_s, last, side="right")), min(TUNING.scored, data.time_s.size))
     data, k, line_hz = data.rows(slice(0, count)), before.shape[1], pole.imag / (2.0 * np.pi)
     frequency, taken = power_spectrum(data.time_s, (before - after)[:count], data.weights, variance)
     left = residual_spectrum(data, after[:count], variance)
@@ -163,27 +201,27 @@ def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> 
     nyquist = nyquist_hz(data.time_s)
     found = []
     rate = 4.0 / data.span_s
-    while rate < _MAX_RATE_PER_NYQUIST * 2.0 * np.pi * nyquist:
+    while rate < TUNING.max_rate_per_nyquist * 2.0 * np.pi * nyquist:
         best = _best_wave(motion, rate, max(lowest_hz, 0.5 * rate / (2.0 * np.pi)), nyquist)
         if best is not None:
             found.append(best)
-        rate *= _RATE_STEP
+        rate *= TUNING.rate_step
     return found
 
 
 def beginning(data: FitData, rate_per_s: float) -> FitData:
     """Samples that contain the energy of a wave of this decay rate."""
-    return data.rows(slice(0, int(np.searchsorted(data.time_s, _DECAY_TIMES / rate_per_s)) + 1))
+    return data.rows(slice(0, int(np.searchsorted(data.time_s, TUNING.decay_times / rate_per_s)) + 1))
 
 
 def _best_wave(data: FitData, rate: float, lowest_hz: float, nyquist: float) -> Candidate | None:
     half_width = rate / (2.0 * np.pi)
     first = max(lowest_hz, half_width * float(np.sqrt(_ZETA_RANGE[1] ** -2 - 1.0)))
-    grid = np.arange(first, min(nyquist, half_width / _ZETA_RANGE[0]), _FREQUENCY_STEP * half_width)
+    grid = np.arange(first, min(nyquist, half_width / _ZETA_RANGE[0]), TUNING.frequency_step * half_width)
     part = beginning(data, rate)
-    if grid.size == 0 or part.time_s.size < _MIN_SAMPLES:
+    if grid.size == 0 or part.time_s.size < TUNING.min_samples:
         return None
-    factor = int(1.0 / (_SAMPLES_PER_CYCLE * grid[-1] * data.step_s))
+    factor = int(1.0 / (TUNING.samples_per_cycle * grid[-1] * data.step_s))
     if factor > 1:
         part = Problem(part, np.ones((part.time_s.size, 1))).thinned(factor).data
     explained = _explained(part, np.asarray(-rate + 2j * np.pi * grid, dtype=np.complex128))

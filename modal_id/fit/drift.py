@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.data.baseline import RELATIVE_BANDWIDTH
+from modal_id.data import RELATIVE_BANDWIDTH
 from modal_id.fit.spectrum import ResidualSpectrum
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# Share of the noise level at a mode that slow motion may contribute.
-_LEAK = 0.02
-# A swing on soft supports or by hand, treated as drift when its misfit disturbs the modes above it: few cycles,
-# strongly damped, far below all modes. A beam's first mode lies at a sixth of the second and is weakly damped.
-_FEW_CYCLES = 15.0
-_FAR_BELOW = 0.1
-_STRONGLY_DAMPED = 0.02
-_MAX_SPLINES = 300
+
+@dataclass(frozen=True)
+class Tuning:
+    """What is slow motion and no mode."""
+
+    #: [1] share of the noise level at a mode that slow motion may contribute
+    #: convention: Chosen; effect not measured.
+    leak: float = 0.02
+    #: [cycles] a swing on soft supports or by hand has fewer
+    #: convention: Chosen; effect not measured.
+    few_cycles: float = 15.0
+    #: [1] frequency of a swing over that of the lowest mode, at most
+    #: physics: A beam's first mode lies at a sixth of the second.
+    far_below: float = 0.1
+    #: [1] damping ratio from which few cycles at a low frequency are a swing
+    #: convention: A beam's first mode is weakly damped.
+    strongly_damped: float = 0.02
+    #: [1] splines of the slow motion
+    #: convention: Chosen; effect not measured.
+    max_splines: int = 300
+
+
+TUNING = Tuning()
 
 
 def wider_baseline(
@@ -33,8 +49,8 @@ def wider_baseline(
     swing = _swings(fit, span)
     kept = fit.poles[~swing]
     lowest = float(np.min(frequency_hz(kept)))
-    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * _MAX_SPLINES / span)
-    if 1.2 * bandwidth_hz > cap or _leak(spectrum, span, frequency_hz(kept)) < _LEAK:
+    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * TUNING.max_splines / span)
+    if 1.2 * bandwidth_hz > cap or _leak(spectrum, span, frequency_hz(kept)) < TUNING.leak:
         return None
     return kept, cap
 
@@ -42,11 +58,11 @@ def wider_baseline(
 def _swings(fit: PoleFit, span_s: float) -> BoolArray:
     """Mask of strongly damped motions of a few cycles, far below all other modes."""
     all_hz = frequency_hz(fit.poles)
-    has_few_cycles = all_hz * span_s < _FEW_CYCLES
+    has_few_cycles = all_hz * span_s < TUNING.few_cycles
     if np.all(has_few_cycles):
         return np.zeros(all_hz.size, dtype=bool)
-    low = all_hz < _FAR_BELOW * float(np.min(all_hz[~has_few_cycles]))
-    return np.asarray(has_few_cycles & low & (damping_ratio(fit.poles) > _STRONGLY_DAMPED))
+    low = all_hz < TUNING.far_below * float(np.min(all_hz[~has_few_cycles]))
+    return np.asarray(has_few_cycles & low & (damping_ratio(fit.poles) > TUNING.strongly_damped))
 
 
 def _leak(spectrum: ResidualSpectrum, span_s: float, modes_hz: FloatArray) -> float:

@@ -10,34 +10,61 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData, rough_variance
+from modal_id.data import RELATIVE_BANDWIDTH, FitData, bandwidth_hz, baseline_splines, rough_variance
 from modal_id.fit.candidates import Band, Candidate, candidates
 from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.outlier_search import without_outliers
 from modal_id.fit.spectrum import ResidualSpectrum, nyquist_hz, residual_spectrum
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
-from modal_id.solve.waves import no_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import (
+    PoleFit,
+    Problem,
+    damping_ratio,
+    fit_poles,
+    frequency_hz,
+    no_columns,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray, FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 OWN_BAND = 0.03
 BASELINE_GUARD = 1.3
-# Lines this far below the strongest mode are rounding errors or artefacts of an integrator.
-_RELATIVE_FLOOR = 1e-4
-# Samples at the limit of rejection may alternate forever.
-_MAX_CLEANINGS = 2
-_MOST_WIDENINGS = 12
-_FALSE_ALARM = 0.01
-# Other modes move by less than this share of their frequency when one is added.
-_MOST_MOVED = 0.02
-# A strongly damped mode beside others has at least this damping ratio and this share of the largest amplitude: what a
-# release and errors of the other modes leave at the beginning is weaker.
-_DAMPED_ZETA, _LEAST_DAMPED = 0.02, 0.05
-_DAMPED_TRIALS = 3
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which lines become modes."""
+
+    #: [1] amplitude over the strongest mode's below which a line is no mode
+    #: convention: Such lines are rounding errors or artefacts of an integrator.
+    relative_floor: float = 1e-4
+    #: [1] rounds of the rejection of outliers
+    #: convention: Samples at the limit may alternate forever.
+    max_cleanings: int = 2
+    #: [1] times that the band of slow motion is widened
+    #: convention: Chosen; effect not measured.
+    most_widenings: int = 12
+    #: [1] probability that noise alone gives a further mode
+    #: statistics: One record in a hundred.
+    false_alarm: float = 0.01
+    #: [1] share of its frequency by which another mode may move when one is added
+    #: convention: Chosen; effect not measured.
+    most_moved: float = 0.02
+    #: [1] least damping ratio of a strongly damped mode beside others
+    #: convention: Chosen; effect not measured.
+    damped_zeta: float = 0.02
+    #: [1] its least amplitude over the largest
+    #: convention: What a release and errors of the other modes leave at the beginning is weaker.
+    least_damped: float = 0.05
+    #: [1] strongly damped modes tried beside others
+    #: convention: Chosen; effect not measured.
+    damped_trials: int = 3
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -116,7 +143,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
         return None
     search = _Search(data.weights, max_modes, lowest_hz)
     finished = False
-    for _ in range(3 * max_modes + _MOST_WIDENINGS):
+    for _ in range(3 * max_modes + TUNING.most_widenings):
         if finished:
             break
         current, finished = search.step(current)
@@ -165,7 +192,7 @@ class _Search:
         # resembles outliers.
         cleaned = _clean(split, self.original_weights, self.lowest_hz)
         self.cleanings += 1
-        if cleaned is split or self.cleanings > _MAX_CLEANINGS:
+        if cleaned is split or self.cleanings > TUNING.max_cleanings:
             return split, True
         return cleaned, False
 
@@ -270,26 +297,26 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
-    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
-    return None if np.any(moved) or strength[-1] < _RELATIVE_FLOOR * np.max(strength) else joint
+    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > TUNING.most_moved
+    return None if np.any(moved) or strength[-1] < TUNING.relative_floor * np.max(strength) else joint
 
 
 def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
     """Add the strongly damped mode that the lines of the spectrum do not show; None without one."""
     data, fit = model.data, model.fit
     lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
-    for start in damped_starts(model.problem, fit.linear, lowest)[:_DAMPED_TRIALS]:
+    for start in damped_starts(model.problem, fit.linear, lowest)[: TUNING.damped_trials]:
         joint = refit(model, np.append(fit.poles, start), data, search=True)
         hz = frequency_hz(joint.fit.poles)
         pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
         apart = np.abs(hz[:-1] / hz[-1] - 1.0) > OWN_BAND
-        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
+        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > TUNING.most_moved
         if (
             joint.fit.converged
             and np.all(apart)
             and not np.any(moved)
-            and strength[-1] > _LEAST_DAMPED * np.max(strength)
-            and _DAMPED_ZETA < float(damping_ratio(pole)) < MAX_DAMPING
+            and strength[-1] > TUNING.least_damped * np.max(strength)
+            and TUNING.damped_zeta < float(damping_ratio(pole)) < MAX_DAMPING
             and lowest < hz[-1] < nyquist_hz(data.time_s)
             and is_significant(model, joint)
             and is_above_noise(data, fit.linear.residual, joint.fit.linear, pole)
@@ -317,7 +344,7 @@ def is_significant(
     more = 2.0 + 2.0 * k + k * max(splines - before.problem.baseline.shape[1], 0)
     left = float(np.sum(after.data.counts)) - k * splines - (2.0 + 2.0 * k) * after.fit.poles.size
     chance = float(fdtrc(more, min(max(left, 1.0), level_dof), max(drop, 0.0) / more))
-    return chance * after.data.time_s.size * tries < _FALSE_ALARM
+    return chance * after.data.time_s.size * tries < TUNING.false_alarm
 
 
 def start_pole(candidate: Candidate) -> NDArray[np.complex128]:

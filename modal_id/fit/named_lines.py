@@ -7,12 +7,11 @@ in any line of the spectrum; it need not exceed the threshold of the search, whi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.fit.candidates import Band, highest_near
 from modal_id.fit.model_order import (
     BASELINE_GUARD,
@@ -24,16 +23,36 @@ from modal_id.fit.model_order import (
     with_line,
 )
 from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
-from modal_id.solve.waves import ModeColumns, no_columns
-from tracker.arrays import ComplexArray
+from modal_id.solve import (
+    ModeColumns,
+    PoleFit,
+    Problem,
+    damping_ratio,
+    frequency_hz,
+    no_columns,
+    objective,
+    rough_poles,
+    solve_linear,
+)
+from tracker import ComplexArray
 
-# A frequency is named to this share of it, and to this many bins of 1 / span.
-_NAMED = 0.01
-_NAMED_BINS = 2.0
-# What decays faster is no line: `damped` seeks it. The noise about it is not that at its frequency.
-_MOST_DAMPED = 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Lines whose frequency is given."""
+
+    #: [1] share of a frequency within which it is named
+    #: convention: Chosen; effect not measured.
+    named: float = 0.01
+    #: [bins] the same in bins of 1 / span
+    #: physics: The resolution of the record.
+    named_bins: float = 2.0
+    #: [1] damping ratio above which it is no line
+    #: convention: What decays faster is sought by `damped`; the noise about it is not that at its frequency.
+    most_damped: float = 0.1
+
+
+TUNING = Tuning()
 
 
 def with_named(model: ModalFit | None, data: FitData, named_hz: Sequence[float]) -> ModalFit | None:
@@ -89,7 +108,7 @@ def _joint(model: ModalFit, hz: float) -> ModalFit | None:
     """The model with a mode near a frequency; None where noise explains it."""
     data, linear = model.data, model.fit.linear
     left = Problem(replace(data, values=linear.residual), model.problem.baseline)
-    tried = highest_near(data, linear.residual, linear.noise_variance, Band(hz, _NAMED * hz))
+    tried = highest_near(data, linear.residual, linear.noise_variance, Band(hz, TUNING.named * hz))
     starts = [rough_poles(left, start_pole(candidate)) for candidate in tried]
     starts = [start for start in starts if _is_near(complex(start[0]), hz, data)]
     if not starts:
@@ -108,11 +127,11 @@ def _misfit(left: Problem, start: ComplexArray) -> float:
 
 def _is_near(pole: complex, hz: float, data: FitData) -> bool:
     frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
-    return abs(frequency - hz) < _reach_hz(hz, data) and abs(damping) < _MOST_DAMPED
+    return abs(frequency - hz) < _reach_hz(hz, data) and abs(damping) < TUNING.most_damped
 
 
 def _reach_hz(hz: float, data: FitData) -> float:
-    return max(_NAMED * hz, _NAMED_BINS / max(data.span_s, 1e-300))
+    return max(TUNING.named * hz, TUNING.named_bins / max(data.span_s, 1e-300))
 
 
 def _still(data: FitData, lowest_hz: float) -> ModalFit:

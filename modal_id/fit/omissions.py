@@ -7,13 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.prepare import Projection
+from modal_id.data import Projection
 from modal_id.fit.model_order import ModalFit, refit
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from tracker import ComplexArray, FloatArray, PositionErrors
 
-# Amplitudes below this number of the sd of the shrinkage shrink in proportion: no motion is reversed.
-_LEAST = 4.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """What a codec leaves out."""
+
+    #: [sd] amplitude, in sd of the shrinkage, below which it shrinks in proportion
+    #: physics: No motion is reversed.
+    least: float = 4.0
+
+
+TUNING = Tuning()
+
 # Samples at a time.
 _BLOCK = 8192
 
@@ -67,7 +76,9 @@ class Omissions:
             amplitudes = amplitudes @ self.mixed.to_channels.T
         size = np.sqrt(np.abs(functions) ** 2 @ np.abs(amplitudes) ** 2)
         steps = frame_steps(self.model, self.errors, functions, amplitudes)
-        waves = functions @ amplitudes / np.hypot(size, _LEAST * self.errors.shrinkage_sd[self.channels])
+        waves = (
+            functions @ amplitudes / np.hypot(size, TUNING.least * self.errors.shrinkage_sd[self.channels])
+        )
         for k, channel in enumerate(self.channels.tolist()):
             waves[:, k] *= self.errors.omitted(channel, steps[:, k], of_mean=of_mean)
             waves[:, k] *= self.errors.growth(channel, size[:, k])

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.outliers import limited, reject_outliers
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, limited, reject_outliers
 from modal_id.fit.candidates import Band, candidates
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.poles import damping_ratio, frequency_hz, rough_poles
-from modal_id.solve.waves import ModeColumns, motion
-from tracker.arrays import FloatArray
+from modal_id.solve import (
+    LinearSolution,
+    ModeColumns,
+    Problem,
+    damping_ratio,
+    frequency_hz,
+    motion,
+    rough_poles,
+    solve_linear,
+)
+from tracker import FloatArray
 
-_MOST_LINES = 4
-# Half-width of the band about a removed line in which no other is looked for, and reach of its fit, relative to its
-# frequency; largest damping ratio of a line.
-_HALF_WIDTH, _REACH, _MAX_DAMPING = 0.01, 0.05, 0.5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Lines removed before outliers are looked for."""
+
+    #: [1] lines that are removed
+    #: convention: Chosen; effect not measured.
+    most_lines: int = 4
+    #: [1] half-width of the band about a removed line, over its frequency, in which no other is looked for
+    #: convention: Chosen; effect not measured.
+    half_width: float = 0.01
+    #: [1] reach of the fit of a line, over its frequency
+    #: convention: Chosen; effect not measured.
+    reach: float = 0.05
+    #: [1] largest damping ratio of such a line
+    #: convention: Chosen; effect not measured.
+    max_damping: float = 0.5
+
+
+TUNING = Tuning()
 
 
 def without_outliers(
@@ -32,7 +54,7 @@ def without_outliers(
     residual = linear.residual
     cleaned = reject_outliers(data, original_weights, residual)
     excluded = list(own)
-    for _ in range(_MOST_LINES):
+    for _ in range(TUNING.most_lines):
         within = limited(original_weights, residual)
         if np.array_equal(within, residual) or not np.array_equal(cleaned.weights, data.weights):
             break
@@ -40,11 +62,11 @@ def without_outliers(
         if not found:
             break
         line = found[0]
-        excluded.append(Band(line.frequency_hz, _HALF_WIDTH * line.frequency_hz))
+        excluded.append(Band(line.frequency_hz, TUNING.half_width * line.frequency_hz))
         problem = Problem(replace(data, values=within), np.ones((data.time_s.size, 1)))
         pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
-        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < _REACH
-        if not near or not 0.0 < float(damping_ratio(pole)[0]) < _MAX_DAMPING:
+        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < TUNING.reach
+        if not near or not 0.0 < float(damping_ratio(pole)[0]) < TUNING.max_damping:
             continue
         amplitudes = solve_linear(problem, ModeColumns(data.time_s, pole)).amplitudes
         residual = residual - motion(data.time_s, pole, amplitudes)

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import frequency_hz, thinning
-from modal_id.solve.waves import ModeColumns, motion
+from modal_id.solve import ModeColumns, Problem, frequency_hz, motion, solve_linear, thinning
 
-# Averages a cycle relative to those of `thinning`.
-_FINER = 4.0 / 3.0
-# Modes within this logarithm of its frequency are fitted beside it; the motion of the others is subtracted.
-_CLOSE = 0.7
+
+@dataclass(frozen=True)
+class Tuning:
+    """The fit of one mode's own decay."""
+
+    #: [1] averages a cycle over those of `thinning`
+    #: convention: Chosen; effect not measured.
+    finer: float = 4.0 / 3.0
+    #: [1] logarithm of the ratio of frequencies within which another mode is fitted beside it
+    #: convention: The motion of the others is subtracted.
+    close: float = 0.7
+
+
+TUNING = Tuning()
 
 
 def own_decay(model: ModalFit, mode: int) -> ModalFit:
@@ -25,10 +33,10 @@ def own_decay(model: ModalFit, mode: int) -> ModalFit:
     """
     fit, data = model.fit, model.data
     hz = frequency_hz(fit.poles)
-    close = np.abs(np.log(hz / hz[mode])) < _CLOSE
+    close = np.abs(np.log(hz / hz[mode])) < TUNING.close
     close[mode] = False
     order = np.append(mode, np.flatnonzero(close))
-    factor = max(thinning(data.time_s, fit.poles[[mode]] * _FINER), 1)
+    factor = max(thinning(data.time_s, fit.poles[[mode]] * TUNING.finer), 1)
     problem = Problem(replace(data, values=fit.linear.residual), model.problem.sparse)
     problem = problem.thinned(factor) if factor > 1 else problem
     # Each average of the motion is that of a whole block of even samples with equal weights, a constant factor on the

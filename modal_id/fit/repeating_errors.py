@@ -9,22 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from modal_id.data.prepare import Projection
+from modal_id.data import Projection
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.omissions import Omissions, frame_steps
-from modal_id.solve.poles import pole_slopes
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from modal_id.solve import pole_slopes
+from tracker import ComplexArray, FloatArray, PositionErrors
 
-# The shrinkage by a codec is a smooth function of asinh(amplitude / (this number * its sd)), the logarithm of large
-# amplitudes, and hardly changes below this number of sd. Correlation length in that variable, spacing of knots.
-_SMALL = 5.0
-_CORRELATION, _SPACING = 0.6, 0.5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors of positions that repeat with the motion."""
+
+    #: [sd] amplitude below which the shrinkage by a codec hardly changes
+    #: convention: Chosen; effect not measured.
+    small: float = 5.0
+    #: [1] correlation length of the shrinkage in asinh(amplitude)
+    #: convention: Chosen; effect not measured.
+    correlation: float = 0.6
+    #: [1] spacing of its knots
+    #: convention: Below the correlation length.
+    spacing: float = 0.5
+    #: [1] groups that alone may show the variance of a repeating error
+    #: convention: Chosen; effect not measured.
+    few: int = 4
+    #: [1] multiple of the variance of noise that so few groups must show
+    #: statistics: Two markers exceed it by chance in 5 % of records.
+    chance: float = 4.0
+
+
+TUNING = Tuning()
+
 # Samples at a time: the functions of time are dozens for each channel, and would take most memory of a long record.
 _BLOCK = 8192
-# Most groups of neighbouring channels whose poles are compared. The variance that fewer than `_FEW` show must exceed
-# this multiple of that of noise: two markers exceed it by chance in 5 % of records.
-_GROUPS, _FEW, _CHANCE = 8, 4, 4.0
+# Most groups of neighbouring channels whose poles are compared.
+_GROUPS = 8
 
 
 def without_repeating_errors(
@@ -128,8 +146,8 @@ class _Functions:
         knots = np.zeros(0)
         if strong.size:
             growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
-            largest = growth * float(np.max(np.abs(amplitudes[strong]) / (_SMALL * sd)))
-            knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
+            largest = growth * float(np.max(np.abs(amplitudes[strong]) / (TUNING.small * sd)))
+            knots = np.arange(0.0, np.arcsinh(largest) + TUNING.spacing, TUNING.spacing)
         root = np.asarray(np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size)), dtype=float)
         return cls(model, errors, channels, mixed, amplitudes, strong, knots, root)
 
@@ -190,7 +208,9 @@ class _Functions:
                 motion = self.amplitudes[mode, k] * functions[:, mode]
                 size = np.abs(motion)
                 wave = motion / np.maximum(size, 1e-300)
-                smooth = np.linalg.solve(self.root, _kernel(self.knots, np.arcsinh(size / (_SMALL * sd))))
+                smooth = np.linalg.solve(
+                    self.root, _kernel(self.knots, np.arcsinh(size / (TUNING.small * sd)))
+                )
                 smooth *= omitted * errors.growth(channel, size)
                 columns.append((sd * wave.real * smooth).T)
                 if self._lags:
@@ -255,7 +275,7 @@ def _scatter(functions: _Functions, parts: list[_Products]) -> FloatArray:
         without = np.linalg.pinv(total - np.sum(information[group], axis=0), hermitian=True)
         step = without @ np.sum(scores[group], axis=0)
         scatter += (count - 1.0) / count * np.outer(step, step)
-    if count < _FEW and np.all(np.diag(scatter) < _CHANCE * np.diag(covariance)):
+    if count < TUNING.few and np.all(np.diag(scatter) < TUNING.chance * np.diag(covariance)):
         return np.zeros_like(covariance)
     return _positive(scatter - covariance)
 
@@ -284,7 +304,7 @@ def _of_periodic_errors(functions: _Functions, parts: list[_Products], mixed: Pr
 
 
 def _kernel(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(-0.5 * ((one[:, None] - other[None, :]) / _CORRELATION) ** 2))
+    return np.asarray(np.exp(-0.5 * ((one[:, None] - other[None, :]) / TUNING.correlation) ** 2))
 
 
 def _positive(covariance: FloatArray) -> FloatArray:

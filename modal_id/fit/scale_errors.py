@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.fit.model_order import ModalFit
-from tracker.results import ScaleChange
+from tracker import ScaleChange
 
 
 def with_scale_errors(model: ModalFit, change: ScaleChange, start_s: float) -> ModalFit:

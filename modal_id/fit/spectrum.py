@@ -10,19 +10,35 @@ from numpy.typing import NDArray
 from scipy.fft import fft, next_fast_len, rfft
 from scipy.special import gammaincinv
 
-from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from tracker import FloatArray
 
-# Largest distance of an even sample from its place, in steps.
-_EVEN = 1e-3
-_WIDE_BINS = 61
+
+@dataclass(frozen=True)
+class Tuning:
+    """Levels of the noise."""
+
+    #: [steps] largest distance of an even sample from its place
+    #: convention: Chosen; effect not measured.
+    even: float = 1e-3
+    #: [bins] wide window of the level
+    #: convention: Chosen; effect not measured.
+    wide_bins: int = 61
+    #: [bins] narrow window of the level
+    #: convention: Chosen; effect not measured.
+    narrow_bins: int = 15
+    #: [half-widths] outer edge of the bins outside a band
+    #: convention: Chosen; effect not measured.
+    outside: float = 4.0
+
+
+TUNING = Tuning()
+_WIDE_BINS = TUNING.wide_bins
+
 # Degrees of freedom of the level in a channel: it is the median of twice as many bins, of which half are independent.
 LEVEL_BINS = _WIDE_BINS
-_NARROW_BINS = 15
 # Bins of a block of `least_level`.
 _BLOCK = 20
-# Outer edge of the bins outside a band, in half-widths of the band.
-_OUTSIDE = 4.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +62,7 @@ class ResidualSpectrum:
         """
         distance = np.abs(self.frequency_hz - centre_hz)
         near = distance < half_width_hz
-        outside = ~near & (distance < max(_OUTSIDE * half_width_hz, _WIDE_BINS * self.frequency_hz[1]))
+        outside = ~near & (distance < max(TUNING.outside * half_width_hz, _WIDE_BINS * self.frequency_hz[1]))
         if not np.any(near) or not np.any(outside):
             return 0.0
         level = float(np.median(self.power[outside])) * mean_per_median(self.channels)
@@ -89,7 +105,7 @@ def _grids(
     """Normalised values of each channel on a grid, the length to which they are padded, and the grid's step."""
     position = (time_s - time_s[0]) / step
     cell = np.rint(position)
-    is_even = bool(np.max(np.abs(position - cell), initial=0.0) < _EVEN)
+    is_even = bool(np.max(np.abs(position - cell), initial=0.0) < TUNING.even)
     if not is_even:
         step *= 0.5
         position *= 2.0
@@ -138,7 +154,7 @@ def mean_per_median(channels: int) -> float:
 def local_level(power: FloatArray, channels: int, bins: NDArray[np.intp]) -> FloatArray:
     """Noise level around these bins: the mean implied by the median, the larger of a wide and a narrow window."""
     level = np.zeros(bins.size)
-    for half in (_WIDE_BINS, _NARROW_BINS):
+    for half in (_WIDE_BINS, TUNING.narrow_bins):
         size = min(2 * half, power.size)
         rows = bins[:, None] + np.arange(-(size // 2), size - size // 2)
         # Reflected at both ends.

@@ -9,23 +9,51 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, svd
 
-from modal_id.data.samples import FitData
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
-_SAMPLES_PER_CYCLE = 5.0
-_MAX_ROWS = 240
-_MAX_REFERENCES = 3
-# More channels would shorten the block rows below a cycle of the lowest mode.
-_MAX_CHANNELS = 8
-# Samples that suffice to choose the channels.
-_CHOOSING_SAMPLES = 4096
-_MAX_ORDER = 40
-_MAX_DAMPING = 0.9
-_NEAR = 0.01
-# Successive orders, two states apart, in which a stable pole must occur.
-_LEAST_RUN = 5
-_STEADY, _STEADY_ZETA = 0.2, 2e-4
+
+@dataclass(frozen=True)
+class Tuning:
+    """Stable poles of the subspace method."""
+
+    #: [samples] samples per cycle of the highest frequency to which the record is thinned
+    #: convention: Chosen; effect not measured.
+    samples_per_cycle: float = 5.0
+    #: [1] rows of the block Hankel matrix
+    #: convention: For time.
+    max_rows: int = 240
+    #: [1] reference channels
+    #: convention: For time.
+    max_references: int = 3
+    #: [1] channels used
+    #: physics: More would shorten the block rows below a cycle of the lowest mode.
+    max_channels: int = 8
+    #: [samples] samples by which the channels are chosen
+    #: convention: They suffice for it.
+    choosing_samples: int = 4096
+    #: [1] largest order of the state
+    #: convention: Chosen; effect not measured.
+    max_order: int = 40
+    #: [1] largest damping ratio of a pole
+    #: convention: Chosen; effect not measured.
+    max_damping: float = 0.9
+    #: [1] relative distance of frequencies of successive orders within which a pole is stable
+    #: convention: Chosen; effect not measured.
+    near: float = 0.01
+    #: [1] successive orders, two states apart, in which a stable pole must occur
+    #: convention: Chosen; effect not measured.
+    least_run: int = 5
+    #: [1] relative difference of the damping ratios of a stable pole in successive orders, at most
+    #: convention: Chosen; effect not measured.
+    steady: float = 0.2
+    #: [1] the same, absolute
+    #: convention: For poles of little damping.
+    steady_zeta: float = 2e-4
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -44,13 +72,13 @@ class StabilityDiagram:
 
         A pole is stable when its damping ratio changes by less than 20 % from one order to the next.
         """
-        near = max(_NEAR * frequency, 0.5 / self.span_s)
+        near = max(TUNING.near * frequency, 0.5 / self.span_s)
         longest = current = 0
         before = np.empty(0)
         for poles in self.poles:
             damping = damping_ratio(poles[np.abs(frequency_hz(poles) - frequency) < near])
             change = np.abs(damping[:, None] - before[None, :])
-            steady = bool(np.any(change < _STEADY * np.abs(before[None, :]) + _STEADY_ZETA))
+            steady = bool(np.any(change < TUNING.steady * np.abs(before[None, :]) + TUNING.steady_zeta))
             current = current + 1 if steady else min(damping.size, 1)
             longest, before = max(longest, current), damping
         return longest
@@ -59,14 +87,14 @@ class StabilityDiagram:
         """Mask of the poles of one order which the order before has, too: frequency within 1 %, damping within 20 %."""
         poles, before = self.poles[index], self.poles[max(index - 1, 0)]
         hz, damping = frequency_hz(poles)[:, None], damping_ratio(poles)[:, None]
-        near = np.abs(hz - frequency_hz(before)) < np.maximum(_NEAR * hz, 0.5 / self.span_s)
+        near = np.abs(hz - frequency_hz(before)) < np.maximum(TUNING.near * hz, 0.5 / self.span_s)
         own = damping_ratio(before)
-        steady = np.abs(damping - own) < _STEADY * own + _STEADY_ZETA
+        steady = np.abs(damping - own) < TUNING.steady * own + TUNING.steady_zeta
         return np.asarray(np.any(near & steady, axis=1) if index else np.zeros(poles.size, dtype=bool))
 
     def confirms(self, frequency: float) -> bool:
         """Whether a pole near the frequency (Hz) is stable over model orders."""
-        return self.run(frequency) >= min(_LEAST_RUN, len(self.orders))
+        return self.run(frequency) >= min(TUNING.least_run, len(self.orders))
 
 
 def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) -> StabilityDiagram | None:
@@ -83,18 +111,18 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
     enters only i = 0. Peeters & De Roeck (1999), doi:10.1006/mssp.1999.1249, sections 3 and 5.
     """
     step, values, mask = _even(data, baseline, highest_hz)
-    if values.shape[1] > _MAX_CHANNELS:
+    if values.shape[1] > TUNING.max_channels:
         chosen = _independent_channels(values)
         values, mask = values[:, chosen], mask[:, chosen]
     n, k = values.shape
-    rows = int(min(_MAX_ROWS // k, n // 4))
+    rows = int(min(TUNING.max_rows // k, n // 4))
     if rows * k < 8 or rows < 4:
         return None
-    strongest = np.argsort(-np.sum(values**2, axis=0))[:_MAX_REFERENCES]
+    strongest = np.argsort(-np.sum(values**2, axis=0))[: TUNING.max_references]
     lags = _products(values, mask, np.sort(strongest), 2 * rows)
     hankel = np.concatenate([np.concatenate(lags[i : i + rows], axis=1) for i in range(1, rows + 1)], axis=0)
     left, size, _ = svd(hankel, full_matrices=False, check_finite=False, lapack_driver="gesdd")
-    most = int(min(_MAX_ORDER, (rows - 1) * k, np.count_nonzero(size > 1e-12 * size[0])))
+    most = int(min(TUNING.max_order, (rows - 1) * k, np.count_nonzero(size > 1e-12 * size[0])))
     orders = tuple(range(2, most + 1, 2))
     observed = left[:, :most] * np.sqrt(size[:most])
     poles = tuple(_poles(observed[:, :order], k, step) for order in orders)
@@ -103,15 +131,15 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
 
 def _independent_channels(values: FloatArray) -> NDArray[np.intp]:
     """The channel that moves most, then each time the one that differs most from those already chosen."""
-    stride = max(1, values.shape[0] // _CHOOSING_SAMPLES)
+    stride = max(1, values.shape[0] // TUNING.choosing_samples)
     order = qr(values[::stride], mode="r", pivoting=True, check_finite=False)[-1]
-    return np.sort(np.asarray(order[:_MAX_CHANNELS], dtype=np.intp))
+    return np.sort(np.asarray(order[: TUNING.max_channels], dtype=np.intp))
 
 
 def _even(data: FitData, baseline: FloatArray, highest_hz: float) -> tuple[float, FloatArray, FloatArray]:
     """Time step, means of neighbouring samples on an even grid (0 where none), and a mask of the cells with samples."""
     own = data.step_s
-    stride = max(1, int(1.0 / (_SAMPLES_PER_CYCLE * highest_hz * own)))
+    stride = max(1, int(1.0 / (TUNING.samples_per_cycle * highest_hz * own)))
     step = own * stride
     cell = np.floor((data.time_s - data.time_s[0] + 0.5 * own) / step).astype(np.intp)
     shape = (int(cell[-1]) + 1, data.values.shape[1])
@@ -144,4 +172,4 @@ def _poles(observed: FloatArray, channels: int, step: float) -> ComplexArray:
     found = np.log(discrete[np.abs(discrete) > 1e-9].astype(complex)) / step
     decaying = (found.imag > 0.0) & (found.real < 0.0)
     found = found[decaying]
-    return np.asarray(found[damping_ratio(found) < _MAX_DAMPING])
+    return np.asarray(found[damping_ratio(found) < TUNING.max_damping])

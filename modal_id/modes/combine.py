@@ -9,9 +9,19 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.special import chdtrc, chdtri
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-DISAGREE = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """Modes of several records."""
+
+    #: [1] p-value of the scatter of several records below which they disagree
+    #: statistics: One mode in a hundred.
+    disagree: float = 0.01
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,7 @@ class Combined:
     @property
     def disagree(self) -> bool:
         """Whether the scatter is significantly larger than the standard deviations explain, at 1 %."""
-        return self.p_value < DISAGREE
+        return self.p_value < TUNING.disagree
 
 
 def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:

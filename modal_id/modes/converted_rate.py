@@ -8,24 +8,61 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from modal_id.fit.model_order import ModalFit
+from modal_id.fit import ModalFit
 from modal_id.flags import RATE_CONVERTED_NOTE
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# Probability of a false answer in white noise, for all hypotheses of a record together.
-_FALSE_ALARM = 1e-4
-# A line of the residual is followed up where white noise has one in 2 % of records.
-_LINE = 4.0
-_LINES, _MOST_PATTERNS = 3, 6
-# A pattern occurs this often in the record: fewer jumps may be changes of the motion.
-_LEAST_PERIODS = 4.0
-# Noise has slow changes: blended frames with fewer periods must gain twice what noise reaches.
-_SLOW_PERIODS = 8.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Films converted to another rate."""
+
+    #: [1] probability of a false answer in white noise, for all hypotheses of a record together
+    #: statistics: One record in ten thousand.
+    false_alarm: float = 1e-4
+    #: [1] line of the residual that is followed up
+    #: statistics: White noise has one in 2 % of records.
+    line: float = 4.0
+    #: [1] lines that are followed up
+    #: convention: For time.
+    lines: int = 3
+    #: [1] patterns that are fitted
+    #: convention: For time.
+    most_patterns: int = 6
+    #: [periods] periods of a pattern in the record, at least
+    #: convention: Fewer jumps may be changes of the motion.
+    least_periods: float = 4.0
+    #: [periods] periods below which blended frames must gain twice what noise reaches
+    #: convention: Noise has slow changes.
+    slow_periods: float = 8.0
+    #: [1] phases tried first
+    #: physics: The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the frames.
+    phases: int = 8
+    #: [sd] robust deviation of rows that are left out of the noise of blended frames
+    #: convention: Chosen; effect not measured.
+    outlier_sd: float = 5.0
+    #: [1] share of independent samples below which blended frames are not judged
+    #: convention: What a fit leaves of the motion has a periodic power, too.
+    mostly_noise: float = 0.5
+    #: [sd] median modulus of a normal density
+    #: physics: Its quartile.
+    median_sd: float = 0.6745
+    #: [1] phases at which noise may have any variance
+    #: measurement: With one for all, 10 of 36 unconverted films in H.264 were taken for blended ones.
+    variances: int = 8
+    #: [1] lags over which the correlation of the noise is counted
+    #: convention: Chosen; effect not measured.
+    lags: int = 30
+    #: [1] share of rows without a sample from which these are tried as inserted frames
+    #: convention: The tracker notes as many repeated ones.
+    skipped: float = 0.02
+
+
+TUNING = Tuning()
+
 # Whole recorded frames per frame of the file, beside the fraction.
 _WHOLE = (1, 2)
-# Phases tried first: the nearest is off by a sixteenth of a recorded frame at most, a fifth of what moves the frames.
-_PHASES = 8
 # The strongest line may be a multiple of the frequency of the pattern.
 _ORDERS = (2, 3)
 # Errors of positions that repeat with the motion make harmonics of the mode, which patterns at such multiples of its
@@ -33,18 +70,6 @@ _ORDERS = (2, 3)
 _REPEATING = (1, 2, 3, 4)
 # With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
 _OTHER_SHARES = (0.6, 1.4)
-# Blended frames are judged by their noise as well: without rows beyond this many robust sd, and where at least this
-# share of the samples is independent, since what a fit leaves of the motion has a periodic power, too.
-_OUTLIER_SD, _MOSTLY_NOISE = 5.0, 0.5
-# Of a normal density, the median modulus in sd.
-_MEDIAN_SD = 0.6745
-# Phases of a pattern, and successive frames of a codec, at which noise may have any variance instead. With one variance
-# for all, 10 of 36 unconverted films in H.264 were taken for blended ones, half of them at alternate frames.
-_VARIANCES = 8
-# Lags over which the correlation of the noise is counted.
-_LAGS = 30
-# Share of rows without a sample from which these are tried as inserted frames: the tracker notes as many repeated ones.
-_SKIPPED = 0.02
 
 _HOW: dict[Kind, str] = {
     "moved": "recorded ones were left out or repeated",
@@ -111,7 +136,7 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
         return None
     even = record.fit(record.evenly(), record.all_modes)
     skipped = 1.0 - record.rows.size / record.length
-    if skipped > _SKIPPED:
+    if skipped > TUNING.skipped:
         counted = Clock("inserted", 1.0 - skipped, 0.0)
         fit = record.fit_clock(counted)
         evidence = _evidence(record, even, fit)
@@ -122,8 +147,8 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     found = _best(record, even, "moved", patterns)
     if found is not None:
         return found
-    spread = np.median(np.abs(even.residual), axis=0) / _MEDIAN_SD
-    kept = np.all(np.abs(even.residual) <= _OUTLIER_SD * spread, axis=1)
+    spread = np.median(np.abs(even.residual), axis=0) / TUNING.median_sd
+    kept = np.all(np.abs(even.residual) <= TUNING.outlier_sd * spread, axis=1)
     record = replace(record.only(kept), steady_noise=steady_noise)
     even = record.fit(record.evenly(), record.all_modes)
     displacement, _ = record.motion(even)
@@ -135,9 +160,9 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
 
 
 def least_gain(record: DecayRecord) -> float:
-    """Twice the gain of the log-likelihood that noise reaches in a share `_FALSE_ALARM` of records."""
-    tries = record.length * _PHASES * len(_WHOLE) * 8.0
-    return 2.0 * float(np.log(tries / _FALSE_ALARM))
+    """Twice the gain of the log-likelihood that noise reaches in a share `TUNING.false_alarm` of records."""
+    tries = record.length * TUNING.phases * len(_WHOLE) * 8.0
+    return 2.0 * float(np.log(tries / TUNING.false_alarm))
 
 
 def any_variance_cost(record: DecayRecord, even: ClockFit) -> float:
@@ -147,8 +172,8 @@ def any_variance_cost(record: DecayRecord, even: ClockFit) -> float:
     one gains 1 by chance.
     """
     own = record.poles[record.strongest].imag / (2.0 * np.pi)
-    others = (_flickering(record, even, cycles).cost for cycles in (1.0 / _VARIANCES, own))
-    return min(even.cost, min(others) + _VARIANCES - 1)
+    others = (_flickering(record, even, cycles).cost for cycles in (1.0 / TUNING.variances, own))
+    return min(even.cost, min(others) + TUNING.variances - 1)
 
 
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
@@ -159,7 +184,7 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
         evidence, fit, clock = max(judged, key=lambda one: one[0])
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
             continue
-        if kind == "blended" and _independent(fit.residual) < _MOSTLY_NOISE:
+        if kind == "blended" and _independent(fit.residual) < TUNING.mostly_noise:
             continue
         if not _resembles(record, even, clock, fit):
             return Conversion(kind, clock.ratio, evidence, ~fit.modes)
@@ -182,12 +207,12 @@ def _repeats(record: DecayRecord, clock: Clock) -> bool:
 
 
 def _is_slow(record: DecayRecord, clock: Clock) -> bool:
-    return clock.kind == "blended" and _folded(clock.ratio) * record.length < _SLOW_PERIODS
+    return clock.kind == "blended" and _folded(clock.ratio) * record.length < TUNING.slow_periods
 
 
 def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Iterator[tuple[Clock, ...]]:
     """The best clocks for each pattern: for its frequency, and for those it is a multiple of."""
-    least = _LEAST_PERIODS / record.length
+    least = TUNING.least_periods / record.length
     seen: list[float] = []
     for pattern in patterns:
         if pattern < least or any(abs(pattern - other) < 0.5 / record.length for other in seen):
@@ -198,7 +223,7 @@ def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Itera
             lower = [pattern / order for order in _ORDERS if pattern / order > least]
             others = (_of_pattern(record, kind, one) for one in lower)
             yield (first, *(one for one in others if one is not None))
-        if len(seen) == _MOST_PATTERNS:
+        if len(seen) == TUNING.most_patterns:
             return
 
 
@@ -213,9 +238,9 @@ def _lines(record: DecayRecord, product: FloatArray) -> list[float]:
     # The last bin, half a cycle per frame, may be a peak.
     inner, above = power[1:], np.append(power[2:], 0.0)
     peaks = 1 + np.flatnonzero(
-        (inner > power[:-1]) & (inner >= above) & (inner > np.log(record.length) + _LINE)
+        (inner > power[:-1]) & (inner >= above) & (inner > np.log(record.length) + TUNING.line)
     )
-    return [float(k) / size for k in peaks[np.argsort(-power[peaks])][:_LINES]]
+    return [float(k) / size for k in peaks[np.argsort(-power[peaks])][: TUNING.lines]]
 
 
 def _patterns_of_modes(record: DecayRecord) -> list[float]:
@@ -238,7 +263,11 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None
     """
     first = _cheapest(
         record,
-        (Clock(kind, 1.0 + sign * pattern, k / _PHASES) for sign in (1.0, -1.0) for k in range(_PHASES)),
+        (
+            Clock(kind, 1.0 + sign * pattern, k / TUNING.phases)
+            for sign in (1.0, -1.0)
+            for k in range(TUNING.phases)
+        ),
     )
     sign = np.sign(first.ratio - 1.0)
     starts = [replace(first, ratio=whole + sign * pattern) for whole in _WHOLE]
@@ -294,16 +323,16 @@ def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFi
         return any(cost < found.cost for cost in others)
     # Noise with any variance at each phase of the pattern, as of light that flickers.
     flicker = _flickering(record, even, clock.ratio)
-    more = flicker.parameters + _VARIANCES - found.parameters
+    more = flicker.parameters + TUNING.variances - found.parameters
     return bool(flicker.cost + more * np.log(record.values.size) < found.cost)
 
 
 def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:
     """Evenly spaced frames whose noise has any variance at each phase of so many cycles per frame."""
     power = np.mean(even.residual**2, axis=1)
-    phase = (np.mod(cycles * record.rows + 1e-6, 1.0) * _VARIANCES).astype(np.intp)
-    counts = np.bincount(phase, minlength=_VARIANCES)
-    variance = np.bincount(phase, power, minlength=_VARIANCES) / np.maximum(counts, 1)
+    phase = (np.mod(cycles * record.rows + 1e-6, 1.0) * TUNING.variances).astype(np.intp)
+    counts = np.bincount(phase, minlength=TUNING.variances)
+    variance = np.bincount(phase, power, minlength=TUNING.variances) / np.maximum(counts, 1)
     return record.fit(Waves(record.evenly().modes, np.maximum(variance[phase], 1e-3)), record.all_modes)
 
 
@@ -312,7 +341,7 @@ def _independent(residual: FloatArray) -> float:
     n = residual.shape[0]
     size = next_fast_len(2 * n)
     power = np.mean(np.abs(rfft(residual, size, axis=0)) ** 2, axis=1)
-    correlation = irfft(power, size)[: min(_LAGS, n // 4) + 1]
+    correlation = irfft(power, size)[: min(TUNING.lags, n // 4) + 1]
     correlation = correlation / max(float(correlation[0]), 1e-300)
     # What noise adds to the sum of squares.
     excess = np.maximum(correlation[1:] ** 2 - 4.0 / residual.size, 0.0)

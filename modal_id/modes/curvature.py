@@ -9,29 +9,39 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modal_id.modes.shapes import in_phase
-from tracker.arrays import ComplexArray, FloatArray
-
-# Modes beyond the one that dominates which are left free, and those beyond them, which the evidence restrains.
-_FREE_BEYOND, _RESTRAINED = 3, 20
-# Their amplitudes fall with this power of the wave number, as those of a smooth shape less the deflection by a force at
-# the end do; their scales, relative to the shape.
-_FALL = 8.0
-_SCALES = np.geomspace(1e-6, 1.0, 25)
-# More stations than free modes, and the distance of the outer ones from the ends, in mean distances of stations.
-_MORE_STATIONS, _LARGEST_GAP = 6, 2.0
-_PASSES = 3
-# Sd of the position of either end, in mean distances of stations: a px where a station has five.
-_END_SD = 0.2
+from tracker import ComplexArray, Failure, FloatArray
 
 
 @dataclass(frozen=True)
-class NoCurvature:
-    """A shape whose curvature was not computed: falsy, with the reason."""
+class Tuning:
+    """Shapes between the stations."""
 
-    reason: str
+    #: [1] modes beyond the dominant one that are free
+    #: convention: Chosen; effect not measured.
+    free_beyond: int = 3
+    #: [1] modes beyond those, which the evidence restrains
+    #: convention: Chosen; effect not measured.
+    restrained: int = 20
+    #: [1] power of the wave number with which their amplitudes fall
+    #: physics: That of a smooth shape less the deflection by a force at the end.
+    fall: float = 8.0
+    #: [1] stations beyond the free modes, at least
+    #: convention: Chosen; effect not measured.
+    more_stations: int = 6
+    #: [1] distance of the outer stations from the ends, in mean distances, at most
+    #: convention: Chosen; effect not measured.
+    largest_gap: float = 2.0
+    #: [1] passes
+    #: convention: Chosen; effect not measured.
+    passes: int = 3
+    #: [1] sd of the position of either end, in mean distances of stations
+    #: physics: A px where a station has five.
+    end_sd: float = 0.2
 
-    def __bool__(self) -> bool:
-        return False
+
+TUNING = Tuning()
+
+_SCALES = np.geomspace(1e-6, 1.0, 25)
 
 
 class Curvature(NamedTuple):
@@ -63,7 +73,7 @@ def beam_curvature(
     length_mm: float,
     at_mm: FloatArray | None = None,
     end_sd_mm: tuple[float, float] | None = None,
-) -> Curvature | NoCurvature:
+) -> Curvature | Failure:
     """Curvature of a cantilever's shape.
 
     Parameters
@@ -83,7 +93,7 @@ def beam_curvature(
 
     Returns
     -------
-    Curvature or NoCurvature
+    Curvature or Failure
         The latter where the stations are too few or do not reach the ends, whose boundary conditions would be unknown.
 
     Notes
@@ -102,16 +112,16 @@ def beam_curvature(
     spacing = float(np.ptp(x)) / max(x.size - 1, 1) if x.size else np.nan
     reason = _unknown_ends(x, spacing)
     if reason:
-        return NoCurvature(reason)
+        return Failure(reason)
     real = np.real(in_phase(values, error))
     number = _dominant(x, real, error)
-    least = number + _FREE_BEYOND + _MORE_STATIONS
+    least = number + TUNING.free_beyond + TUNING.more_stations
     if x.size < least:
-        return NoCurvature(f"{x.size} stations are too few for a shape of mode {number}: {least} are needed")
+        return Failure(f"{x.size} stations are too few for a shape of mode {number}: {least} are needed")
     at = position_mm if at_mm is None else at_mm
-    second = _basis(at / length_mm, number + _FREE_BEYOND + _RESTRAINED)[1]
-    end_sd = np.full(2, _END_SD * spacing) if end_sd_mm is None else np.array(end_sd_mm) / length_mm
-    value, variance, factor = _over_ends(x, real, error, number + _FREE_BEYOND, end_sd, second)
+    second = _basis(at / length_mm, number + TUNING.free_beyond + TUNING.restrained)[1]
+    end_sd = np.full(2, TUNING.end_sd * spacing) if end_sd_mm is None else np.array(end_sd_mm) / length_mm
+    value, variance, factor = _over_ends(x, real, error, number + TUNING.free_beyond, end_sd, second)
     per_m2 = (1e3 / length_mm) ** 2
     return Curvature(at, per_m2 * value, per_m2 * np.sqrt(variance), factor)
 
@@ -120,7 +130,7 @@ def _unknown_ends(x: FloatArray, spacing: float) -> str:
     """Why the boundary conditions at the ends are unknown; empty where the stations reach both."""
     if not spacing > 0.0:
         return "the free length of the beam, or the places of the stations along it, are unknown"
-    if max(x.min(), 1.0 - x.max()) <= _LARGEST_GAP * spacing and x.min() >= 0.0 and x.max() <= 1.0:
+    if max(x.min(), 1.0 - x.max()) <= TUNING.largest_gap * spacing and x.min() >= 0.0 and x.max() <= 1.0:
         return ""
     return (
         f"the stations reach from {100.0 * x.min():.0f} to {100.0 * x.max():.0f} % of the free length: what the beam "
@@ -142,7 +152,7 @@ def _over_ends(
     means, variances, factors = [], [], []
     # Four places with the mean and the covariance of their errors.
     for first, last in np.sqrt(2.0) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * end_sd:
-        shapes = _basis(x + first * (1.0 - x) + last * x, free + _RESTRAINED)[0]
+        shapes = _basis(x + first * (1.0 - x) + last * x, free + TUNING.restrained)[0]
         mean, covariance, factor = _averaged(shapes, real, error, free)
         means.append(second @ mean)
         variances.append(np.einsum("nk,kj,nj->n", second, covariance, second))
@@ -159,7 +169,7 @@ def _averaged(
     fits = []
     for scale in _SCALES * float(np.max(np.abs(real))):
         prior = np.zeros(shapes.shape[1])
-        prior[free:-1] = (roots[free:] / roots[free - 1]) ** (2.0 * _FALL) / scale**2
+        prior[free:-1] = (roots[free:] / roots[free - 1]) ** (2.0 * TUNING.fall) / scale**2
         fits.append(_fitted(shapes / error[:, None], real / error, prior))
     weights = np.array([fit.log_evidence for fit in fits])
     weights = np.exp(weights - weights.max())
@@ -174,7 +184,7 @@ def _averaged(
 def _fitted(design: FloatArray, aim: FloatArray, prior: FloatArray) -> _Fit:
     """Least squares of values with an sd of 1, with the inverse prior variances of the amplitudes."""
     factor = 1.0
-    for _ in range(_PASSES):
+    for _ in range(TUNING.passes):
         normal = design.T @ design / factor**2 + np.diag(prior)
         decomposed = cho_factor(normal)
         mean = cho_solve(decomposed, design.T @ aim / factor**2)

@@ -8,22 +8,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
 from modal_id.modes.combine import Combined, combine
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.posterior.noise import noise_level
-from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.posterior import determine_mode, noise_level
+from modal_id.record import Onset, Segment
+from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# Modes of two decays are the same when their frequencies differ by less than this share.
-_SAME = 0.02
-# A decay whose rate is less than this many standard deviations above zero is chosen only where there is no other.
-_DECAYS_SD = 2.0
-_LAST_CHOICE = 1e6
-# Energy of a decay, relative to the largest of the record, below which it is a click or a transient.
-_FAINT = 1e-3
+
+@dataclass(frozen=True)
+class Tuning:
+    """The decay that gives a mode."""
+
+    #: [1] relative distance of frequencies of two decays within which modes are the same
+    #: convention: Chosen; effect not measured.
+    same: float = 0.02
+    #: [sd] rate over zero below which a decay is chosen only where there is no other
+    #: statistics: 2.3 % of driven motions exceed it.
+    decays_sd: float = 2.0
+    #: [1] factor on the sd of such a decay in the choice
+    #: convention: Any large number.
+    last_choice: float = 1e6
+    #: [1] energy over the record's largest below which a decay is a click or a transient
+    #: convention: Chosen; effect not measured.
+    faint: float = 1e-3
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -74,13 +87,13 @@ def does_not_decay(one: FittedDecay) -> bool:
     fit = one.model.fit
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
     growth, sd = float(fit.poles[strongest].real), float(fit.pole_sd[strongest, 0])
-    return growth > 0.0 and growth >= _DECAYS_SD * sd * noise_level(one.model, None, strongest).factor
+    return growth > 0.0 and growth >= TUNING.decays_sd * sd * noise_level(one.model, None, strongest).factor
 
 
 def without_faint(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
     """Decays but those that are faint beside another: a click before a drive, for instance, decays as well."""
     energy = np.array([_largest_energy(one.model) for one in fitted])
-    return tuple(one for one, own in zip(fitted, energy, strict=True) if own >= _FAINT * np.max(energy))
+    return tuple(one for one, own in zip(fitted, energy, strict=True) if own >= TUNING.faint * np.max(energy))
 
 
 def _largest_energy(model: ModalFit) -> float:
@@ -99,8 +112,8 @@ def _damping_sd(model: ModalFit) -> float:
     fit = model.fit
     strongest = int(np.argmax(np.sum(np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance, axis=1)))
     pole, sd = complex(fit.poles[strongest]), float(fit.pole_sd[strongest, 0])
-    decays = -pole.real > _DECAYS_SD * sd
-    return sd / abs(pole) * (1.0 if decays else _LAST_CHOICE)
+    decays = -pole.real > TUNING.decays_sd * sd
+    return sd / abs(pole) * (1.0 if decays else TUNING.last_choice)
 
 
 def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
@@ -148,7 +161,7 @@ def _same_mode(mode: IdentifiedMode, one: FittedDecay) -> DecayValue | None:
     fit = one.model.fit
     distance = np.abs(frequency_hz(fit.poles) / mode.frequency_hz - 1.0)
     index = int(np.argmin(distance))
-    if distance[index] > _SAME:
+    if distance[index] > TUNING.same:
         return None
     found = determine_mode(one.model, index)
     if isinstance(found, FailedMode):

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.data.outliers import beyond_limit
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import StabilityDiagram
+from modal_id.data import beyond_limit
+from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag
 from modal_id.modes.numbering import possible_aliases
-from modal_id.posterior.dependence import MUCH_LEFT, left_at_mode
-from modal_id.posterior.mode_posterior import LITTLE_DECAY, SampledMode
+from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mode
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import frequency_hz
+from tracker import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
 LOW_SNR = 10.0
 LEAST_CYCLES = 10.0
-# Residual power of the amplitude curve below which no pair of modes is needed: relative to the noise, or to what
-# constant values leave.
-_EXPLAINED = 1.5
-_MOSTLY_EXPLAINED = 0.01
-_DECADE = 0.1
-# Half-width of the band in which the residual is misfit of a mode: share of its frequency, and bins of 1 / span.
-_OWN_SHARE = 0.05
-_OWN_BINS = 3.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Flags of a mode."""
+
+    #: [1] residual power of the amplitude curve over the noise below which no pair of modes is needed
+    #: convention: Chosen; effect not measured.
+    explained: float = 1.5
+    #: [1] the same over what constant values leave
+    #: convention: Chosen; effect not measured.
+    mostly_explained: float = 0.01
+    #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
+    #: convention: A tenth.
+    decade: float = 0.1
+    #: [1] half-width of the band in which the residual is misfit of a mode, over its frequency
+    #: convention: Chosen; effect not measured.
+    own_share: float = 0.05
+    #: [bins] the same in bins of 1 / span
+    #: convention: Chosen; effect not measured.
+    own_bins: float = 3.0
+
+
+TUNING = Tuning()
 
 
 def mode_flags(
@@ -92,7 +107,7 @@ def signal_to_noise(model: ModalFit, index: int) -> float:
     spectrum, linear = model.spectrum, model.fit.linear
     beside = np.ones(spectrum.frequency_hz.size, dtype=bool)
     for hz in frequency_hz(model.fit.poles):
-        reach = max(_OWN_SHARE * float(hz), _OWN_BINS / model.data.span_s)
+        reach = max(TUNING.own_share * float(hz), TUNING.own_bins / model.data.span_s)
         beside &= np.abs(spectrum.frequency_hz - hz) > reach
     share = float(np.mean(spectrum.power[beside]) / np.mean(spectrum.power)) if np.any(beside) else 1.0
     noise = np.sqrt(linear.noise_variance * min(share, 1.0))
@@ -113,9 +128,11 @@ def _is_one_curve(mode: SampledMode) -> bool:
     Over a smaller range, a curve may imitate part of a beat.
     """
     curve = None if mode.dependence is None else mode.dependence.curve
-    if curve is None or curve.amplitude[1] > _DECADE * curve.amplitude[-1]:
+    if curve is None or curve.amplitude[1] > TUNING.decade * curve.amplitude[-1]:
         return False
-    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
+    return curve.residual_power < max(
+        TUNING.explained, TUNING.mostly_explained * curve.constant_residual_power
+    )
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

@@ -13,34 +13,64 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.baseline import baseline_matrix
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.waves import real_columns
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import baseline_matrix
+from modal_id.fit import ModalFit
+from modal_id.solve import real_columns
+from tracker import BoolArray, ComplexArray, FloatArray
 
 Kind = Literal["moved", "blended", "inserted"]
 
-# Rows from the start of the decay, where the motion is strongest, and channels with most of it; more cost time only.
-_MOST_ROWS, _MOST_CHANNELS, _MOST_COMPONENTS = 2_000, 24, 6
-# Columns of the slow motion, which also follows a side band at a low frequency.
-_MOST_SLOW = 64
-# Stretches of the record, each with a noise level of its own: noise may change with time, or come in bursts. With one
-# level for all, 4 of 200 random records with outliers and clicks were taken for converted ones.
-_STRETCHES = 8
-# Rows for each column, below which nothing is compared.
-_ROWS_PER_COLUMN = 4
+
+@dataclass(frozen=True)
+class Tuning:
+    """The clock of converted frames."""
+
+    #: [samples] rows from the start of the decay
+    #: convention: For time; the motion is strongest there.
+    most_rows: int = 2_000
+    #: [1] channels with most of the motion
+    #: convention: For time.
+    most_channels: int = 24
+    #: [1] components of the motion
+    #: convention: For time.
+    most_components: int = 6
+    #: [1] columns of the slow motion
+    #: convention: It also follows a side band at a low frequency.
+    most_slow: int = 64
+    #: [1] stretches of the record with a noise level each
+    #: measurement: With one, 4 of 200 random records with outliers and clicks were taken for converted ones.
+    stretches: int = 8
+    #: [samples] rows for each column below which nothing is compared
+    #: convention: Chosen; effect not measured.
+    rows_per_column: int = 4
+    #: [bins] distance of side bands of double images from the mode
+    #: measurement: Nearer ones were fitted to a frequency that changes and to the errors of a codec.
+    separate_bins: float = 8.0
+    #: [1] order up to which side bands are no modes
+    #: convention: Chosen; effect not measured.
+    highest_order: int = 8
+    #: [bins] distance of a side band from its place, at most
+    #: convention: Chosen; effect not measured.
+    near_bins: float = 3.0
+    #: [1] MAC with the strongest mode of a side band, at least
+    #: convention: Chosen; effect not measured.
+    same_shape: float = 0.8
+    #: [sd] difference of its decay rate, at most
+    #: statistics: Noise exceeds it in 6e-5 of the lines.
+    same_rate_sd: float = 4.0
+    #: [1] the same over the rate
+    #: convention: Other side bands that are left bias the rate.
+    same_rate: float = 0.2
+    #: [steps] largest distance of a row from its place
+    #: physics: A displaced frame is off by a third of one (rms).
+    even: float = 0.1
+
+
+TUNING = Tuning()
+
 # Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
 # no conversion, and the poles of a fit to evenly spaced frames are biased where the frames are not.
 _ENVELOPE, _OTHER_ENVELOPES = (0, 1, 2, 3), (0, 1, 2)
-# Double images need side bands this far from the mode, and a pattern this far from alternate frames: nearer ones were
-# fitted to a frequency that changes, and to the errors of a codec. Means at alternate frames have equal weights.
-_SEPARATE_BINS = 8.0
-# Side bands up to this order are no modes; they lie within this many bins of 1 / rows of their place. They have the
-# shape and the decay rate of the strongest mode, as far as these are known; others that are left bias the rate.
-_HIGHEST_ORDER, _NEAR_BINS = 8, 3.0
-_SAME_SHAPE, _SAME_RATE_SD, _SAME_RATE = 0.8, 4.0, 0.2
-# Largest distance of a row from its place, in steps: a displaced frame is off by a third of one (rms).
-_EVEN = 0.1
 
 
 class Waves(NamedTuple):
@@ -146,10 +176,10 @@ class DecayRecord:
         if clock.kind == "inserted":
             return self.alike
         cycles = self.poles.imag / (2.0 * np.pi)
-        orders = np.arange(1, _HIGHEST_ORDER + 1) * clock.ratio
+        orders = np.arange(1, TUNING.highest_order + 1) * clock.ratio
         places = cycles[self.strongest] + np.concatenate([orders, -orders])
         beside = np.stack([cycles[:, None] - places, cycles[:, None] + places])
-        near = np.any(np.abs(beside - np.rint(beside)) < _NEAR_BINS / self.length, axis=(0, 2))
+        near = np.any(np.abs(beside - np.rint(beside)) < TUNING.near_bins / self.length, axis=(0, 2))
         near[self.strongest] = False
         return np.asarray(near)
 
@@ -183,7 +213,7 @@ class DecayRecord:
         waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
         strongest = self.poles[self.strongest]
         variance = weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
-        if self._bins_beside(clock) < _SEPARATE_BINS:
+        if self._bins_beside(clock) < TUNING.separate_bins:
             return Waves(waves, variance)
         error = weight * (1.0 - weight) * (1.0 - 2.0 * weight)
         double = waves[:, self.strongest] * np.exp(2.0 * strongest.real * self.rows) * error
@@ -213,7 +243,7 @@ class DecayRecord:
         gram = gram * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
         amplitudes = scale[:, None] * np.linalg.solve(gram, scale[:, None] * (columns.T @ values))
         residual = values - columns @ amplitudes
-        edges = np.linspace(0, self.rows.size, _STRETCHES + 1).astype(np.intp)
+        edges = np.linspace(0, self.rows.size, TUNING.stretches + 1).astype(np.intp)
         counts = np.diff(edges)
         power = np.add.reduceat(residual**2, edges[:-1], axis=0) / counts[:, None]
         power = np.maximum(power, 1e-300)
@@ -247,31 +277,31 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     step_s = float(np.median(np.diff(data.time_s)))
     number = (data.time_s - data.time_s[0]) / step_s
     rows = np.rint(number).astype(np.intp)
-    if np.any(np.abs(number - rows) > _EVEN) or np.any(np.diff(rows) < 1):
+    if np.any(np.abs(number - rows) > TUNING.even) or np.any(np.diff(rows) < 1):
         return None
     energy = np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance
     rate = np.maximum(-fit.poles.real, 1.0 / data.span_s)
     strongest = int(np.argmax(np.sum(energy, axis=1) * np.abs(fit.poles) ** 2 / rate))
-    most = np.argsort(-energy[strongest])[:_MOST_CHANNELS]
-    used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[:_MOST_ROWS]
+    most = np.argsort(-energy[strongest])[: TUNING.most_channels]
+    used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[: TUNING.most_rows]
     columns = 2 * (len(_OTHER_ENVELOPES) * fit.poles.size + len(_ENVELOPE))
-    if used.size < _ROWS_PER_COLUMN * columns:
+    if used.size < TUNING.rows_per_column * columns:
         return None
     sd = np.sqrt(np.maximum(fit.linear.noise_variance[most], 1e-300))
     cells = np.ix_(used, most)
     values = (data.values - fit.linear.baseline)[cells] / sd
     time_s = data.time_s[used]
-    slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * _MOST_SLOW / (time_s[-1] - time_s[0])))
+    slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * TUNING.most_slow / (time_s[-1] - time_s[0])))
     slow = np.linalg.qr(slow)[0]
     values += slow @ (slow.T @ (fit.linear.baseline[cells] / sd))
     shapes = fit.linear.amplitudes[:, most] / sd
     product = np.abs(shapes @ shapes[strongest].conj()) ** 2
     size = np.sum(np.abs(shapes) ** 2, axis=1)
     rate_sd = np.hypot(fit.pole_sd[:, 0], fit.pole_sd[strongest, 0])
-    alike = product > _SAME_SHAPE * size * size[strongest]
+    alike = product > TUNING.same_shape * size * size[strongest]
     alike &= (
         np.abs(fit.poles.real - fit.poles[strongest].real)
-        < _SAME_RATE_SD * rate_sd + _SAME_RATE * rate[strongest]
+        < TUNING.same_rate_sd * rate_sd + TUNING.same_rate * rate[strongest]
     )
     alike[strongest] = False
     values = _components(values, fit.linear.residual[cells] / sd)
@@ -282,7 +312,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
 
 def _components(values: FloatArray, residual: FloatArray) -> FloatArray:
     """Combinations of the channels with most of the motion and with uncorrelated noise of unit variance."""
-    axes = np.linalg.svd(values, full_matrices=False)[2][:_MOST_COMPONENTS].T
+    axes = np.linalg.svd(values, full_matrices=False)[2][: TUNING.most_components].T
     noise = residual @ axes
     variance, turn = np.linalg.eigh(noise.T @ noise / noise.shape[0])
     # A combination without noise of its own would count as certain.

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
-from modal_id.solve.poles import pole
-from tracker.arrays import FloatArray
+from modal_id.solve import pole
+from tracker import FloatArray
 
-# Step of the numerical derivative by the damping ratio and, relative, by the frequency.
-_STEP = 1e-6
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numerical derivatives."""
+
+    #: [1] step of the damping ratio and, relative, of the frequency
+    #: physics: Between rounding and curvature.
+    step: float = 1e-6
+
+
+TUNING = Tuning()
+
 # Columns of `_products`, and samples of which they are held at a time.
 _WAVES, _SLOPES, _LINE, _OWN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 _BLOCK = 65_536
@@ -91,5 +102,8 @@ def _slopes(mode: IdentifiedMode, time_s: FloatArray, channel: int) -> FloatArra
         moved = pole(mode.omega_n_rad_s * factor, mode.damping_ratio + change)
         return np.real(mode.shape[channel] * np.exp(moved * time_s))
 
-    pairs = ((motion(1.0 + _STEP, 0.0), motion(1.0 - _STEP, 0.0)), (motion(1.0, _STEP), motion(1.0, -_STEP)))
-    return np.stack([(up - down) / (2.0 * _STEP) for up, down in pairs], axis=1)
+    pairs = (
+        (motion(1.0 + TUNING.step, 0.0), motion(1.0 - TUNING.step, 0.0)),
+        (motion(1.0, TUNING.step), motion(1.0, -TUNING.step)),
+    )
+    return np.stack([(up - down) / (2.0 * TUNING.step) for up, down in pairs], axis=1)

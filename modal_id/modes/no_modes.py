@@ -9,26 +9,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.flags import ModeFlag
-from modal_id.posterior.mode_posterior import SampledMode
+from modal_id.posterior import SampledMode
 from modal_id.results import FailedMode
-from tracker.arrays import ComplexArray, FloatArray
-from tracker.results import PositionErrors
+from tracker import ComplexArray, FloatArray, PositionErrors
 
-# Distortion is weaker than the motions that cause it by at least this factor.
-_WEAKER = 3.0
-_AGREE_SD = 3.0
-# Probability that some combination agrees with frequency and decay rate by chance, up to which they are considered.
-_CHANCE = 0.05
+
+@dataclass(frozen=True)
+class Tuning:
+    """Lines that are no modes."""
+
+    #: [1] factor by which distortion is weaker than the motions that cause it
+    #: convention: Chosen; effect not measured.
+    weaker: float = 3.0
+    #: [sd] difference of frequency and decay rate within which a combination agrees
+    #: statistics: 0.3 % of combinations exceed it.
+    agree_sd: float = 3.0
+    #: [1] probability that some combination agrees by chance, at most
+    #: statistics: One line in twenty.
+    chance: float = 0.05
+    #: [1] highest order of a harmonic
+    #: convention: Chosen; effect not measured.
+    highest_order: int = 40
+    #: [1] highest order of one above half the sampling rate
+    #: convention: Higher ones are too weak to show.
+    highest_aliased: int = 5
+    #: [sd] line below this may be an error that repeats with a motion
+    #: convention: Chosen; effect not measured.
+    error_sd: float = 2.0
+    #: [1] amplitude of that motion over the line's
+    #: convention: Chosen; effect not measured.
+    cause: float = 10.0
+    #: [1] share of the sd of what predicted frames omit that may look like another line
+    #: convention: It follows the amplitude slowly.
+    slow_share: float = 0.5
+
+
+TUNING = Tuning()
+
 # Damping ratios of the modes of one structure are spread over about this range.
 _DECADES = 2.0 * float(np.log(10.0))
-_HIGHEST_ORDER = 40
-# Multiples above half the sampling rate are tried up to this order; higher ones are too weak to show.
-_HIGHEST_ALIASED = 5
-# A line below this many standard deviations of the errors that repeat with a motion this much larger may be an error.
-_ERROR_SD = 2.0
-_CAUSE = 10.0
-# What predicted frames omit follows the amplitude slowly: about this share of its sd may look like another line.
-_SLOW_SHARE = 0.5
 
 
 def combination_tones(
@@ -61,7 +80,7 @@ def combination_tones(
         stronger = [
             (strength[i], line)
             for i, line in enumerate(lines)
-            if line and strength[i] > _WEAKER * strength[k]
+            if line and strength[i] > TUNING.weaker * strength[k]
         ]
         parents = [line for _, line in sorted(stronger, key=lambda pair: -pair[0])]
         found.append(_tone(own, parents, rate_hz) if own and parents else None)
@@ -79,11 +98,13 @@ def within_errors(
     size = np.abs(amplitudes)
     if errors is None:
         return (None,) * len(size)
-    variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + (_SLOW_SHARE * errors.shrinkage_sd) ** 2
-    limit = _ERROR_SD * np.sqrt(variance)[channels]
+    variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + (TUNING.slow_share * errors.shrinkage_sd) ** 2
+    limit = TUNING.error_sd * np.sqrt(variance)[channels]
     largest = float(np.max(size, initial=0.0))
     return tuple(
-        _hidden(own, limit, unit) if _CAUSE * float(np.max(own)) < largest and np.all(own < limit) else None
+        _hidden(own, limit, unit)
+        if TUNING.cause * float(np.max(own)) < largest and np.all(own < limit)
+        else None
         for own in size
     )
 
@@ -150,16 +171,16 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
         f = abs(true - rate_hz * round(true / rate_hz))
         highest = sum(abs(n) * line.rate for n, line in parts)
         lowest = parts[0][1].rate if len(parts) == 1 else highest
-        f_reach = _AGREE_SD * float(
+        f_reach = TUNING.agree_sd * float(
             np.hypot(own.frequency_sd, _root(n * line.frequency_sd for n, line in parts))
         )
         # A line and its distortion depend on the same amplitude.
         f_reach += max(own.frequency_reach, sum(abs(n) * line.frequency_reach for n, line in parts))
-        reach = _AGREE_SD * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
+        reach = TUNING.agree_sd * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
         reach += max(own.rate_reach, sum(abs(n) * line.rate_reach for n, line in parts))
         likely = np.log((highest + reach) / max(lowest - reach, 1e-300)) / _DECADES
         chance += min(float(likely), 1.0) * min(2.0 * f_reach / own.frequency, 1.0)
-        if chance > _CHANCE:
+        if chance > TUNING.chance:
             return None
         if abs(f - own.frequency) < f_reach and lowest - reach < own.rate < highest + reach:
             terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
@@ -174,14 +195,14 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
 
 
 def _multiples(strongest: _Line, frequency: float) -> Iterator[tuple[tuple[int, _Line], ...]]:
-    for order in range(2, max(int(1.5 * frequency / strongest.frequency) + 2, _HIGHEST_ALIASED + 1)):
+    for order in range(2, max(int(1.5 * frequency / strongest.frequency) + 2, TUNING.highest_aliased + 1)):
         yield ((order, strongest),)
 
 
 def _combinations(parents: list[_Line]) -> Iterator[tuple[tuple[int, _Line], ...]]:
     """Multiples of each other line, and its sums and differences with the first, by ascending order."""
     strongest, others = parents[0], parents[1:]
-    for order in range(2, _HIGHEST_ORDER + 1):
+    for order in range(2, TUNING.highest_order + 1):
         for other in others:
             yield ((order, other),)
             for n in range(1, order):

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from modal_id.modes.shapes import in_phase
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
-# Half the window of the fit about a crossing, as a share of the stations' span, and the fewest stations in it.
-_HALF_WINDOW, _LEAST_STATIONS = 0.08, 6
-# Both sides of a crossing differ from zero by this many standard deviations somewhere in the window.
-_CLEAR_SD = 4.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Nodes of a shape."""
+
+    #: [1] half the window of the fit about a crossing, over the span of the stations
+    #: convention: Chosen; effect not measured.
+    half_window: float = 0.08
+    #: [1] fewest stations in it
+    #: convention: Chosen; effect not measured.
+    least_stations: int = 6
+    #: [sd] both sides of a crossing differ from zero by this somewhere in the window
+    #: statistics: Noise does so in 6e-5 of the stations.
+    clear_sd: float = 4.0
+
+
+TUNING = Tuning()
 
 
 class Node(NamedTuple):
@@ -49,10 +63,10 @@ def find_nodes(position_mm: FloatArray, shape: ComplexArray, sd: FloatArray) -> 
     good = np.isfinite(position_mm) & np.isfinite(shape) & np.isfinite(sd) & (sd > 0.0)
     order = np.flatnonzero(good)[np.argsort(position_mm[good], kind="stable")]
     at, values, error = position_mm[order], shape[order], sd[order]
-    if np.unique(at).size < _LEAST_STATIONS:
+    if np.unique(at).size < TUNING.least_stations:
         return ()
     real = np.real(in_phase(values, error))
-    half = _HALF_WINDOW * float(np.ptp(at))
+    half = TUNING.half_window * float(np.ptp(at))
     found: list[Node] = []
     for k in np.flatnonzero(np.diff(np.sign(real)) != 0.0):
         crossing = 0.5 * float(at[k] + at[k + 1])
@@ -69,7 +83,7 @@ def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, 
         x, y, weight = (at[near] - crossing) / half, real[near], 1.0 / error[near]
         clear = y * weight
         sides = clear[x < 0.0], clear[x > 0.0]
-        if np.unique(x).size < _LEAST_STATIONS or not all(side.size for side in sides):
+        if np.unique(x).size < TUNING.least_stations or not all(side.size for side in sides):
             return None
         design = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
         covariance = np.linalg.inv(design.T @ (weight[:, None] ** 2 * design))
@@ -77,7 +91,10 @@ def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, 
         value, slope, bend, _ = fitted
         step = -value / slope if slope else np.inf
         # The crossing of a beam at rest, as at its clamp, is one of noise.
-        if np.max(sides[0] * -np.sign(slope)) < _CLEAR_SD or np.max(sides[1] * np.sign(slope)) < _CLEAR_SD:
+        if (
+            np.max(sides[0] * -np.sign(slope)) < TUNING.clear_sd
+            or np.max(sides[1] * np.sign(slope)) < TUNING.clear_sd
+        ):
             return None
         if abs(step) > 1.0:
             return None

@@ -18,14 +18,28 @@ from modal_id.modes.fitting_rate import (
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.settings import IdentifySettings
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
-_MAC_WEIGHT = 0.25
-_THEORY_ERROR = 0.06
-# Noise lowers the MAC by its share of the shape's power, in the mean; a chi-square of two or more degrees of freedom
-# exceeds seven times its mean once in 1000.
-_MOST_NOISE = 7.0
-_REJECTED_LOG_RATIO = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the modes."""
+
+    #: [1] weight of the MAC against the frequency
+    #: convention: Chosen; effect not measured.
+    mac_weight: float = 0.25
+    #: [1] relative sd of the frequencies of theory
+    #: convention: Chosen; effect not measured.
+    theory_error: float = 0.06
+    #: [1] share of the noise in the MAC that is allowed
+    #: statistics: A chi-square of two or more degrees of freedom exceeds seven times its mean once in 1000.
+    most_noise: float = 7.0
+    #: [1] log ratio of frequencies within which a mode is one that the user rejects
+    #: convention: Chosen; effect not measured.
+    rejected_log_ratio: float = 0.01
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -51,7 +65,7 @@ def number_modes(
     ratio = np.abs(np.log(frequencies_hz[:, None] / expected[None, :]))
     macs = theory_macs(shapes, settings.expected_shapes, expected.size)
     weakness = 0.05 * np.log10(np.max(strength) / np.maximum(strength, 1e-300))
-    cost = ratio + _MAC_WEIGHT * (1.0 - np.nan_to_num(macs, nan=1.0)) + weakness[:, None]
+    cost = ratio + TUNING.mac_weight * (1.0 - np.nan_to_num(macs, nan=1.0)) + weakness[:, None]
     cost = np.where(ratio < MAX_LOG_RATIO, cost, 1e3)
     rows, columns = linear_sum_assignment(cost)
     numbers: list[int | None] = [None] * m
@@ -126,7 +140,7 @@ def rejected_modes(frequencies_hz: FloatArray, settings: IdentifySettings) -> Bo
     """Which of the modes found the user rejects, shape (m,)."""
     wanted = np.asarray(settings.reject_hz, dtype=float)
     apart = np.abs(np.log(frequencies_hz[:, None] / wanted[None, :]))
-    return np.asarray(np.any(apart < _REJECTED_LOG_RATIO, axis=1))
+    return np.asarray(np.any(apart < TUNING.rejected_log_ratio, axis=1))
 
 
 def choose_target_of(
@@ -195,7 +209,7 @@ def possible_aliases(
     for index, expected in enumerate(settings.expected_frequencies_hz):
         if expected <= 0.5 * rate_hz:
             continue
-        near = abs(_alias_hz(expected, rate_hz) - frequency_hz) < _THEORY_ERROR * expected
+        near = abs(_alias_hz(expected, rate_hz) - frequency_hz) < TUNING.theory_error * expected
         other = _mac(shape, index + 1, settings)
         ruled_out = own > MATCHING_MAC and other < MATCHING_MAC
         if near and not ruled_out:
@@ -209,7 +223,7 @@ def shape_disagreement(
     """A sentence where the shape is not that of theory, with noise allowed for; empty where it may be."""
     own = _mac(shape, number, settings)
     power = float(np.nansum(np.abs(shape) ** 2))
-    noise = _MOST_NOISE * 2.0 * float(np.nansum(shape_sd**2)) / max(power, 1e-300)
+    noise = TUNING.most_noise * 2.0 * float(np.nansum(shape_sd**2)) / max(power, 1e-300)
     if number is None or not own + noise < OTHER_SHAPE_MAC:
         return ""
     turned = settings.reversed_shapes

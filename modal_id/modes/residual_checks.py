@@ -8,27 +8,42 @@ their first derivatives, so that the draws of the posterior need no separate rep
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal_id.check import Check
-from modal_id.data.baseline import bandwidth_hz, baseline_splines
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.results import Identification
-from modal_id.solve.linear import Problem, solve_linear, without_fit
-from modal_id.solve.poles import pole
-from modal_id.solve.waves import Beside, ModeColumns, TimesTime, motion
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import Beside, ModeColumns, Problem, TimesTime, motion, pole, solve_linear, without_fit
+from tracker import ComplexArray, FloatArray
 
-_REPLICATES = 399
-_MIN_REPLICATES = 99
-_MAX_VALUES = 6_000_000
+
+@dataclass(frozen=True)
+class Tuning:
+    """Tests of the residual."""
+
+    #: [1] replicates
+    #: statistics: p-values in steps of 1 / 400.
+    replicates: int = 399
+    #: [1] replicates of long records
+    #: statistics: p-values in steps of 1 / 100.
+    min_replicates: int = 99
+    #: [1] values of all replicates
+    #: convention: For memory.
+    max_values: int = 6_000_000
+    #: [samples] fewest samples
+    #: convention: Chosen; effect not measured.
+    min_samples: int = 64
+    #: [1] upper end of the band in which drift is looked for, over that of the baseline
+    #: convention: Drift is visible just above.
+    low_band: float = 3.0
+
+
+TUNING = Tuning()
+
 # Values in each array at a time: a long record fills memory otherwise.
 _BLOCK_VALUES = 1_000_000
-_MIN_SAMPLES = 64
-# Drift is visible just above the band of the baseline.
-_LOW_BAND = 3.0
 
 
 _TEXTS = (
@@ -72,13 +87,13 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     channel = int(np.argmax(size))
     known = np.isfinite(found.series.values[:, channel] - found.fitted[:, channel])
     rows = np.flatnonzero(found.used[:, channel] & known)
-    if rows.size < _MIN_SAMPLES:
+    if rows.size < TUNING.min_samples:
         return ()
     time_s = found.series.time_s[rows] - found.onset.fit_from_s
     residual = (found.series.values - found.fitted)[rows, channel]
     if not np.any(residual):
         return ()
-    count = int(np.clip(_MAX_VALUES // rows.size, _MIN_REPLICATES, _REPLICATES))
+    count = int(np.clip(TUNING.max_values // rows.size, TUNING.min_replicates, TUNING.replicates))
     poles = np.array([complex(pole(m.omega_n_rad_s, m.damping_ratio)) for m in found.modes])
     index = found.modes.index(strongest)
     lowest = bandwidth_hz(min(m.frequency_hz for m in found.modes))
@@ -109,7 +124,7 @@ class _Statistics:
         self, time_s: FloatArray, poles: ComplexArray, index: int, amplitude: complex, bandwidth: float
     ) -> None:
         self._time_s, self._span = time_s, float(time_s[-1])
-        self._low_hz = max(_LOW_BAND * bandwidth, 4.0 / self._span)
+        self._low_hz = max(TUNING.low_band * bandwidth, 4.0 / self._span)
         steps = np.diff(time_s)
         self._neighbours = steps < 1.5 * float(np.median(steps))
         # Derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, with all other parameters projected out.

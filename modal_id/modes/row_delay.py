@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Identification, IdentifiedMode
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# Modes and channels this far above their noise are used, and at least this many channels.
-_LEAST_SNR, _LEAST_CHANNELS = 20.0, 5
-# A delay is reported from this many standard deviations on, where the phase changes from the first to the last channel
-# by this much, in rad, and by this many damping ratios: shapes with unevenly distributed damping are complex by about
-# the damping ratio.
-_CLEAR_SD, _LEAST_PHASE, _LEAST_RATIOS = 6.0, 0.01, 5.0
-# Groups of neighbouring channels of which each is left out once: their errors may be correlated.
-_GROUPS = 8
-# Modes agree within this many standard deviations, which eight groups know to a quarter.
-_AGREE_SD = 6.0
-_PASSES = 4
-# A readout takes at most the time between frames, but for the error of the delay.
-_LONGEST_READOUT = 1.05
+
+@dataclass(frozen=True)
+class Tuning:
+    """The delay of rows."""
+
+    #: [1] signal over noise of modes and channels that are used
+    #: convention: Chosen; effect not measured.
+    least_snr: float = 20.0
+    #: [1] fewest such channels
+    #: convention: Chosen; effect not measured.
+    least_channels: int = 5
+    #: [sd] delay that is reported
+    #: statistics: Noise exceeds it once in 5e8.
+    clear_sd: float = 6.0
+    #: [rad] change of phase from the first to the last channel, at least
+    #: convention: Chosen; effect not measured.
+    least_phase: float = 0.01
+    #: [1] the same in damping ratios
+    #: physics: Shapes with unevenly distributed damping are complex by about the damping ratio.
+    least_ratios: float = 5.0
+    #: [1] groups of neighbouring channels of which each is left out once
+    #: convention: Their errors may be correlated.
+    groups: int = 8
+    #: [sd] difference within which modes agree
+    #: convention: Eight groups know an sd to a quarter.
+    agree_sd: float = 6.0
+    #: [1] passes
+    #: convention: Chosen; effect not measured.
+    passes: int = 4
+    #: [1] readout over the time between frames, at most
+    #: physics: 1, but for the error of the delay.
+    longest_readout: float = 1.05
+
+
+TUNING = Tuning()
 
 
 class RowDelay(NamedTuple):
@@ -58,9 +81,9 @@ def row_delay(found: Identification, rows_px: FloatArray) -> RowDelay | None:
     span = float(np.ptp(rows_px[np.isfinite(rows_px) & np.isfinite(clearest.shape)]))
     phase = abs(per_row) * span * clearest.omega_n_rad_s
     if (
-        abs(per_row) < _CLEAR_SD * total_sd
-        or phase < max(_LEAST_PHASE, _LEAST_RATIOS * clearest.damping_ratio)
-        or np.any(np.abs(values - per_row) > _AGREE_SD * np.hypot(sd, total_sd))
+        abs(per_row) < TUNING.clear_sd * total_sd
+        or phase < max(TUNING.least_phase, TUNING.least_ratios * clearest.damping_ratio)
+        or np.any(np.abs(values - per_row) > TUNING.agree_sd * np.hypot(sd, total_sd))
     ):
         return None
     return RowDelay(per_row, total_sd)
@@ -72,7 +95,7 @@ def readout_note(found: Identification, rows_px: FloatArray, height_px: int) -> 
     if delay is None:
         return ""
     readout_s, sd_s = (height_px - 1) * np.array(delay)
-    if abs(readout_s) > _LONGEST_READOUT * float(np.median(np.diff(found.series.time_s))):
+    if abs(readout_s) > TUNING.longest_readout * float(np.median(np.diff(found.series.time_s))):
         return ""
     grow = "grow" if readout_s > 0.0 else "fall"
     return (
@@ -85,15 +108,15 @@ def readout_note(found: Identification, rows_px: FloatArray, height_px: int) -> 
 def _slope(mode: IdentifiedMode, rows_px: FloatArray) -> RowDelay | None:
     """Delay per row of one mode; None where too few channels tell."""
     good = np.isfinite(rows_px) & np.isfinite(mode.shape) & np.isfinite(mode.shape_sd) & (mode.shape_sd > 0.0)
-    if np.count_nonzero(good) < _LEAST_CHANNELS or not np.ptp(rows_px[good]) > 1.0:
+    if np.count_nonzero(good) < TUNING.least_channels or not np.ptp(rows_px[good]) > 1.0:
         return None
     order = np.flatnonzero(good)[np.argsort(rows_px[good], kind="stable")]
     shape, sd, rows = mode.shape[order], mode.shape_sd[order], rows_px[order]
-    if np.max(np.abs(shape) / sd) < _LEAST_SNR:
+    if np.max(np.abs(shape) / sd) < TUNING.least_snr:
         return None
     everything = np.ones(order.size, dtype=bool)
     whole = _phase_slope(shape, sd, rows, everything)
-    groups = np.array_split(np.arange(order.size), min(_GROUPS, order.size))
+    groups = np.array_split(np.arange(order.size), min(TUNING.groups, order.size))
     without = []
     for group in groups:
         kept = everything.copy()
@@ -111,7 +134,7 @@ def _phase_slope(
     shape, weight, along = shape[kept], 1.0 / sd[kept], rows[kept] - np.mean(rows)
     shape = in_phase(shape)
     phase = np.zeros(2)
-    for _ in range(_PASSES):
+    for _ in range(TUNING.passes):
         turned = shape * np.exp(-1j * (phase[0] + phase[1] * along))
         design = (turned.real * weight)[:, None] * np.stack([np.ones_like(along), along], axis=1)
         covariance = np.linalg.pinv(design.T @ design, hermitian=True)

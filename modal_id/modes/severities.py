@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
+from modal_id.fit import ModalFit
 from modal_id.flags import ModeFlag
 from modal_id.modes.flag_rules import LOW_SNR, signal_to_noise
-from modal_id.posterior.dependence import left_at_mode
-from modal_id.posterior.mode_posterior import SampledMode
+from modal_id.posterior import SampledMode, left_at_mode
 from modal_id.results import AmplitudeDependence
-from tracker.severity import Severity
+from tracker import Severity
 
-# A part of the standard deviation above this share of it affects the interval.
-_SHARE = 0.5
+
+@dataclass(frozen=True)
+class Tuning:
+    """What affects an interval."""
+
+    #: [1] part of the standard deviation over it that affects the interval
+    #: convention: Chosen; effect not measured.
+    share: float = 0.5
+    #: [1] relative increase of the standard deviation that affects the interval
+    #: convention: Chosen; effect not measured.
+    noticeable: float = 0.1
+    #: [1] residual power over the noise from which the values may be wrong
+    #: convention: Chosen; effect not measured.
+    far_too_much_left: float = 10.0
+
+
+TUNING = Tuning()
+
 # Changes over the record below both of these, relative to the value, have no practical consequence: 0.05 % of f, 5 % of
 # zeta.
 _SMALL_CHANGE = (5e-4, 0.05)
 # Standard deviations, relative to the value, from which an interval is wide.
 _WIDE = (0.01, 0.2)
-# Increase of the standard deviation by a close mode, or by the error of the sampler, that affects the interval.
-_NOTICEABLE = 0.1
-# Residual power at the mode, relative to the noise, from which the values may be wrong.
-_FAR_TOO_MUCH_LEFT = 10.0
 
 
 def severities(
@@ -37,12 +50,12 @@ def severities(
     wide = any(own > limit * value for own, value, limit in zip(sd, values, _WIDE, strict=True))
     weak = signal_to_noise(model, index) < LOW_SNR
     affects = {
-        ModeFlag.AMPLITUDE_DEPENDENT: max(shares) > _SHARE and not _is_small(mode.dependence),
-        ModeFlag.FEW_CYCLES_LOST: draws.extrapolation_damping_ratio > _SHARE * sd[1],
+        ModeFlag.AMPLITUDE_DEPENDENT: max(shares) > TUNING.share and not _is_small(mode.dependence),
+        ModeFlag.FEW_CYCLES_LOST: draws.extrapolation_damping_ratio > TUNING.share * sd[1],
         ModeFlag.SHORT_RECORD: wide,
         ModeFlag.LOW_SNR: wide,
-        ModeFlag.CLOSE_MODE: _coupling(model, index) > 1.0 + _NOTICEABLE,
-        ModeFlag.CHAIN_TOO_SHORT: min(draws.ess) < _NOTICEABLE**-2.0,
+        ModeFlag.CLOSE_MODE: _coupling(model, index) > 1.0 + TUNING.noticeable,
+        ModeFlag.CHAIN_TOO_SHORT: min(draws.ess) < TUNING.noticeable**-2.0,
     }
     found = {flag: flag.usual_severity for flag in flags}
     for flag in flags:
@@ -53,7 +66,7 @@ def severities(
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
     if ModeFlag.NOT_CONFIRMED in found and not weak:
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
-    if ModeFlag.RESIDUAL_AT_MODE in found and left_at_mode(mode.dependence) < _FAR_TOO_MUCH_LEFT:
+    if ModeFlag.RESIDUAL_AT_MODE in found and left_at_mode(mode.dependence) < TUNING.far_too_much_left:
         found[ModeFlag.RESIDUAL_AT_MODE] = Severity.INTERVAL
     return tuple((flag.name, severity.name) for flag, severity in found.items())
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import LinearSolution
-from tracker.arrays import FloatArray
-from tracker.results import PositionErrors
+from modal_id.data import FitData
+from modal_id.solve import LinearSolution
+from tracker import FloatArray, PositionErrors
 
 # A part of the samples determines these standard deviations well enough; they are spread by the golden section, which
 # has no common period with the motion.

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import cho_solve
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import LinearSolution
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import LinearSolution
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# A channel in which every mode is below this many standard deviations has no motion.
-_MOVES = 4.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Channels without motion."""
+
+    #: [sd] amplitude below which a channel has no motion
+    #: statistics: Noise exceeds it in 6e-5 of the channels.
+    moves: float = 4.0
+
+
+TUNING = Tuning()
 
 
 def mac(first: ComplexArray | FloatArray, second: ComplexArray | FloatArray) -> float:
@@ -75,4 +86,4 @@ def moving_channels(data: FitData, linear: LinearSolution) -> BoolArray:
     """Mask of the channels in which some mode exceeds four standard deviations; at least one, shape (k,)."""
     sd = np.stack([amplitude_sd(data, linear, i) for i in range(linear.amplitudes.shape[0])])
     size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
-    return np.asarray(size > min(_MOVES, float(np.max(size)) * 0.999))
+    return np.asarray(size > min(TUNING.moves, float(np.max(size)) * 0.999))

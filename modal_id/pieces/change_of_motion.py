@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.segments.stop.change_point import running_rss
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import real_columns
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
+from modal_id.segments.stop import running_rss
+from modal_id.solve import frequency_hz, real_columns
+from tracker import FloatArray
 
-_SAMPLES_PER_CYCLE = 8.0
-_MOST_SAMPLES = 3000
-_MOST_CHANNELS = 4
-_MOST_MODES = 6
-# The strongest modes may decay otherwise than the fit says: their waves times a ramp are fitted, too.
-_LOOSE = 2
-_GROWTH = 8.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Changes of the motion within a decay."""
+
+    #: [samples] samples per cycle of the search
+    #: convention: Chosen; effect not measured.
+    samples_per_cycle: float = 8.0
+    #: [samples] samples of the search
+    #: convention: For time.
+    most_samples: int = 3000
+    #: [1] channels of the search
+    #: convention: For time.
+    most_channels: int = 4
+    #: [1] modes of the search
+    #: convention: For time.
+    most_modes: int = 6
+    #: [1] strongest modes whose waves times a ramp are fitted, too
+    #: convention: They may decay otherwise than the fit says.
+    loose: int = 2
+    #: [1] largest exponent of the growth of a wave from the middle of the record
+    #: convention: Chosen; effect not measured.
+    growth: float = 8.0
+
+
+TUNING = Tuning()
 
 
 def change_of_motion(model: ModalFit) -> float | None:
@@ -45,18 +65,18 @@ def _columns(model: ModalFit) -> tuple[FitData, FloatArray]:
     poles, amplitudes = model.fit.poles, model.fit.linear.amplitudes
     power = np.abs(amplitudes) ** 2 / model.fit.linear.noise_variance
     energy = np.sum(power, axis=1) / np.maximum(-poles.real, 1.0 / model.data.span_s)
-    strongest = np.argsort(-energy, kind="stable")[:_MOST_MODES]
-    channels = np.sort(np.argsort(-np.sum(power, axis=0), kind="stable")[:_MOST_CHANNELS])
+    strongest = np.argsort(-energy, kind="stable")[: TUNING.most_modes]
+    channels = np.sort(np.argsort(-np.sum(power, axis=0), kind="stable")[: TUNING.most_channels])
     data = model.data.channels(channels)
     fastest = float(np.max(frequency_hz(poles[strongest])))
-    factor = max(1, int(1.0 / (_SAMPLES_PER_CYCLE * fastest * data.step_s)))
-    factor = max(factor, data.time_s.size // _MOST_SAMPLES)
+    factor = max(1, int(1.0 / (TUNING.samples_per_cycle * fastest * data.step_s)))
+    factor = max(factor, data.time_s.size // TUNING.most_samples)
     data = data.averaged(factor) if factor * fastest * data.step_s < 0.4 else data
     since = (data.time_s - 0.5 * data.span_s) / max(data.span_s, 1e-300)
     middle = 0.5 * data.span_s
-    growth = np.clip((data.time_s - middle)[:, None] * poles[strongest].real, -_GROWTH, _GROWTH)
+    growth = np.clip((data.time_s - middle)[:, None] * poles[strongest].real, -TUNING.growth, TUNING.growth)
     waves = np.exp(growth + 1j * data.time_s[:, None] * poles[strongest].imag)
-    ramped = waves[:, :_LOOSE] * since[:, None]
+    ramped = waves[:, : TUNING.loose] * since[:, None]
     both = np.concatenate([waves, ramped], axis=1)
     return data, np.concatenate(
         [np.ones((since.size, 1)), real_columns(np.asarray(both, dtype=complex))], axis=1

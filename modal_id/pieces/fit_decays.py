@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from modal_id.data.prepare import Prepared
-from modal_id.modes.decays import FittedDecay
+from modal_id.data import Prepared
+from modal_id.modes import FittedDecay
 from modal_id.pieces.fit_pieces import PieceFitter
 from modal_id.pieces.spread import with_spread
 from modal_id.record import Segment
-from modal_id.segments.divide import RecordParts
-from modal_id.segments.find_onset import record_start
-from modal_id.segments.steadiness import holds_a_decay
-from tracker.results import DisplacementSeries
+from modal_id.segments import RecordParts, holds_a_decay, record_start
+from tracker import DisplacementSeries
 
-_MOST_SPLITS = 6
-# Where no piece is explained, a fit that leaves up to this share of the motion's power stands with wide intervals.
-_MOST_ROUGH = 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Division into pieces."""
+
+    #: [1] divisions of a record
+    #: convention: Chosen; effect not measured.
+    most_splits: int = 6
+    #: [1] share of the motion's power that a fit may leave where no piece is explained
+    #: convention: It stands with wide intervals.
+    most_rough: float = 0.1
+
+
+TUNING = Tuning()
+
 _ROUGH = "Free decays leave {:.2g} % of the power: the intervals include the differences between parts of the decay."
 
 
@@ -45,7 +55,7 @@ def fit_decays(
     `named_hz` are frequencies at which a mode is fitted even where the search finds none.
     """
     fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz, named_hz)
-    splits = 0 if whole else _MOST_SPLITS
+    splits = 0 if whole else TUNING.most_splits
     pieces = [one for decay in parts.decays for one in fitter.pieces(decay.onset, decay.end_s, splits)]
     segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]
     segments += [click for one in pieces if one.fit is not None for click in one.fit.clicks]
@@ -84,7 +94,7 @@ def _rough_decay(
 ) -> tuple[list[FittedDecay], list[Segment]]:
     """The fit that leaves least, with wide intervals, unless it leaves too much; and the segments with it."""
     share, one = min(rough, key=lambda pair: pair[0], default=(1.0, None))
-    if one is None or share > _MOST_ROUGH:
+    if one is None or share > TUNING.most_rough:
         return [], segments
     segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
     segments.append(Segment("decay", one.onset.time_s, one.end_s, _ROUGH.format(100.0 * share)))

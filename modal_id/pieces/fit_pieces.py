@@ -7,41 +7,60 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.data.prepare import MIN_SAMPLES, Prepared, Projection
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit, find_modes, refit
-from modal_id.fit.named_lines import with_named
-from modal_id.fit.omissions import Omissions
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.fit.scale_errors import with_scale_errors
-from modal_id.modes.decays import FittedDecay
-from modal_id.modes.shapes import moving_channels
+from modal_id.curve import amplitude_curve
+from modal_id.data import MIN_SAMPLES, FitData, Prepared, Projection
+from modal_id.fit import (
+    ModalFit,
+    Omissions,
+    find_modes,
+    refit,
+    with_named,
+    with_scale_errors,
+    without_repeating_errors,
+)
+from modal_id.modes import FittedDecay, moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
-from modal_id.posterior.noise import noise_level
+from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.clicks import click_segments, without_clicks
-from modal_id.segments.find_onset import changed_onset, from_largest_deflection
-from modal_id.segments.narrate import no_line
-from modal_id.segments.steadiness import keeps_amplitude
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray
-from tracker.results import DisplacementSeries
+from modal_id.segments import (
+    changed_onset,
+    click_segments,
+    from_largest_deflection,
+    keeps_amplitude,
+    no_line,
+    without_clicks,
+)
+from modal_id.solve import frequency_hz
+from tracker import BoolArray, DisplacementSeries
 
-# Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
-# per cent where a hand, a pluck or the end of the driving lies within.
-_MOST_LEFT = 0.003
-# Residual power of an amplitude curve, relative to the noise or to what constant poles leave, up to which it explains
-# that.
-_EXPLAINED = 3.0
-_MOSTLY_EXPLAINED = 0.01
-# A piece of a divided decay that is shorter is left out.
-_LEAST_CYCLES = 6.0
-# The same where both parts have been fitted.
-_FEWEST_CYCLES = 2.5
-_MANY_CYCLES = 12.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Pieces that a free decay explains."""
+
+    #: [1] share of the power that a free decay may leave
+    #: measurement: A few parts in ten thousand with a camera's errors, per cent with a hand, a pluck or driving.
+    most_left: float = 0.003
+    #: [1] residual power of an amplitude curve over the noise up to which it explains that
+    #: convention: Chosen; effect not measured.
+    explained: float = 3.0
+    #: [1] the same over what constant poles leave
+    #: convention: Chosen; effect not measured.
+    mostly_explained: float = 0.01
+    #: [cycles] shortest piece of a divided decay
+    #: convention: Chosen; effect not measured.
+    least_cycles: float = 6.0
+    #: [cycles] the same where both parts have been fitted
+    #: convention: Chosen; effect not measured.
+    fewest_cycles: float = 2.5
+    #: [cycles] length from which a piece is long
+    #: convention: Chosen; effect not measured.
+    many_cycles: float = 12.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -100,13 +119,13 @@ class PieceFitter:
                 continue
             left = misfit(one.model, self._omissions(one.model, one.moving))
             interruption = self._interruption(one) if splits > 0 else None
-            if interruption is None and (left.share < _MOST_LEFT or _is_one_curve(one.model)):
+            if interruption is None and (left.share < TUNING.most_left or _is_one_curve(one.model)):
                 yield Piece(_explained(one, follows=bool(waiting)), one)
                 continue
-            change, least = interruption, _FEWEST_CYCLES
+            change, least = interruption, TUNING.fewest_cycles
             if interruption is None:
                 self.rough.append((left.share, one))
-                change, least = change_of_motion(one.model) if splits > 0 else None, _LEAST_CYCLES
+                change, least = change_of_motion(one.model) if splits > 0 else None, TUNING.least_cycles
             splits -= 1
             if change is None:
                 reason = _unexplained(onset, end_s, left)
@@ -210,7 +229,7 @@ def _without(data: FitData, rows: BoolArray) -> FitData:
 def _cycle_s(one: FittedDecay) -> float:
     """Cycle of the strongest mode; of those with many cycles in the piece, where there are any."""
     hz = frequency_hz(one.model.fit.poles)
-    many = hz * one.model.data.span_s >= _MANY_CYCLES
+    many = hz * one.model.data.span_s >= TUNING.many_cycles
     energy = np.where(many, one.model.energy, 0.0) if np.any(many) else one.model.energy
     return 1.0 / float(hz[np.argmax(energy)])
 
@@ -240,9 +259,11 @@ def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
 def _is_one_curve(model: ModalFit) -> bool:
     """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
     curve = amplitude_curve(model, model.strongest)
-    if curve is None or not curve.constant_residual_power > _EXPLAINED:
+    if curve is None or not curve.constant_residual_power > TUNING.explained:
         return False
-    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
+    return curve.residual_power < max(
+        TUNING.explained, TUNING.mostly_explained * curve.constant_residual_power
+    )
 
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:

@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.modes.decays import FittedDecay
-from modal_id.segments.steadiness import close_modes
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit
+from modal_id.modes import FittedDecay
+from modal_id.segments import close_modes
+from modal_id.solve import frequency_hz
+from tracker import BoolArray
 
-# Three close modes or more with fewer than twelve cycles each describe a transient: a step or a stop.
-_TRANSIENT_MODES, _FEW_CYCLES = 3, 12.0
-# At rest, the rms of a channel is below this share of that of the motion that follows.
-_REST_SHARE = 0.2
+
+@dataclass(frozen=True)
+class Tuning:
+    """Interruptions of a decay."""
+
+    #: [1] close modes from which they describe a transient
+    #: convention: A step or a stop.
+    transient_modes: int = 3
+    #: [cycles] cycles that each of them has, at most
+    #: convention: Chosen; effect not measured.
+    few_cycles: float = 12.0
+    #: [1] rms of a channel at rest over that of the motion that follows
+    #: convention: Chosen; effect not measured.
+    rest_share: float = 0.2
+
+
+TUNING = Tuning()
 
 
 def single_modes(model: ModalFit) -> ModalFit | None:
@@ -36,9 +49,9 @@ def _only(model: ModalFit, kept: BoolArray) -> ModalFit:
 
 def is_transient(model: ModalFit) -> bool:
     """Whether several close modes of few cycles each imitate a step or a stop, which no decay does."""
-    few = frequency_hz(model.fit.poles) * model.data.span_s < _FEW_CYCLES
+    few = frequency_hz(model.fit.poles) * model.data.span_s < TUNING.few_cycles
     alike = np.count_nonzero(close_modes(model)[few][:, few], axis=1)
-    return bool(np.any(alike >= _TRANSIENT_MODES))
+    return bool(np.any(alike >= TUNING.transient_modes))
 
 
 def rests_until(data: FitData, time_s: float) -> bool:
@@ -49,7 +62,7 @@ def rests_until(data: FitData, time_s: float) -> bool:
         total = np.maximum(np.sum(weights, axis=0), 1e-300)
         centred = data.values[rows] - np.sum(weights * data.values[rows], axis=0) / total
         moves.append(np.sqrt(np.sum(weights * centred**2, axis=0) / total))
-    return bool(np.all(moves[0] < _REST_SHARE * moves[1]))
+    return bool(np.all(moves[0] < TUNING.rest_share * moves[1]))
 
 
 def is_rather_interrupted(whole: FittedDecay, parts: tuple[FittedDecay, ...]) -> bool:

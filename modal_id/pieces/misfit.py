@@ -6,22 +6,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.omissions import Omissions
-from modal_id.solve.linear import LinearSolution, solve_linear
-from modal_id.solve.poles import frequency_hz
-from modal_id.solve.waves import ModeColumns
-from tracker.arrays import FloatArray
+from modal_id.fit import ModalFit, Omissions
+from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
+from tracker import FloatArray
 
-# Windows of this many cycles of the strongest mode and at least this many rows; the residual in them is projected on
-# the waves of the strongest modes.
-_CYCLES = 2.0
-_LEAST_ROWS = 16
-_MODES = 2
-# What a codec leaves out of small motions is no change of the motion: errors up to this many of their sd.
-_OMITTED_SD = 2.0
-# Power of the projection, relative to that of the rest of the window for each degree of freedom, that noise may reach.
-_NOISE = 6.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Misfit of a decay."""
+
+    #: [cycles] length of a window
+    #: convention: Chosen; effect not measured.
+    cycles: float = 2.0
+    #: [samples] the same, at least
+    #: convention: Chosen; effect not measured.
+    least_rows: int = 16
+    #: [1] strongest modes on whose waves the residual is projected
+    #: convention: Chosen; effect not measured.
+    modes: int = 2
+    #: [sd] errors of a codec that are no change of the motion
+    #: convention: What it leaves out of small motions.
+    omitted_sd: float = 2.0
+    #: [1] power of the projection over that of the rest, for each degree of freedom, that noise may reach
+    #: convention: Chosen; effect not measured.
+    noise: float = 6.0
+
+
+TUNING = Tuning()
+
 # Samples at a time.
 _BLOCK = 65536
 
@@ -66,7 +78,7 @@ def misfit(model: ModalFit, omissions: Omissions | None = None) -> Misfit:
 
 def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None) -> Misfit:
     data = model.data
-    length = max(_LEAST_ROWS, int(np.ceil(_CYCLES / (_strongest_hz(model)[0] * data.step_s))))
+    length = max(TUNING.least_rows, int(np.ceil(TUNING.cycles / (_strongest_hz(model)[0] * data.step_s))))
     count = data.time_s.size // length
     if count < 2:
         return Misfit(0.0, 0.0, 0.0)
@@ -87,7 +99,9 @@ def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None
             inside, total = _projected(columns, w, r)
             freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
             noise = (total - inside) / freedom
-            own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0)
+            own = np.maximum(
+                inside - TUNING.noise * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0
+            )
             excess[block] += np.where(freedom > 1, own, 0.0) / variance
             moved[block] += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
     worst = int(np.argmax(excess))
@@ -100,13 +114,13 @@ def _power(omissions: Omissions | None, rows: slice, length: int, channels: int)
     count = (rows.stop - rows.start) // length
     if omissions is None:
         return np.zeros((count, channels))
-    squares = 0.5 * (_OMITTED_SD * omissions.sd(rows)) ** 2
+    squares = 0.5 * (TUNING.omitted_sd * omissions.sd(rows)) ** 2
     return np.asarray(np.sum(squares.reshape(count, length, channels), axis=1))
 
 
 def _strongest_hz(model: ModalFit) -> FloatArray:
     """Frequencies of the modes with most energy, strongest first."""
-    return np.asarray(frequency_hz(model.fit.poles)[np.argsort(-model.energy, kind="stable")[:_MODES]])
+    return np.asarray(frequency_hz(model.fit.poles)[np.argsort(-model.energy, kind="stable")[: TUNING.modes]])
 
 
 def _projected(columns: FloatArray, weights: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

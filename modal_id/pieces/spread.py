@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import fit_poles, frequency_hz, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.fit import ModalFit
+from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
+from tracker import ComplexArray, FloatArray
 
-_PARTS = 3
-_LEAST_CYCLES = 2.0
-_LEAST_ROWS = 12
+
+@dataclass(frozen=True)
+class Tuning:
+    """Spread over parts of a decay."""
+
+    #: [1] parts
+    #: convention: Chosen; effect not measured.
+    parts: int = 3
+    #: [cycles] shortest part
+    #: convention: Chosen; effect not measured.
+    least_cycles: float = 2.0
+    #: [samples] the same
+    #: convention: Chosen; effect not measured.
+    least_rows: int = 12
+
+
+TUNING = Tuning()
 
 
 def with_spread(model: ModalFit) -> ModalFit:
@@ -49,9 +62,9 @@ def _differences(model: ModalFit, index: int) -> ComplexArray:
     energy = np.cumsum(
         np.exp(2.0 * np.minimum(pole.real, 0.0) * data.time_s) * np.any(data.weights > 0.0, axis=1)
     )
-    edges = np.searchsorted(energy, np.linspace(0.0, energy[-1], _PARTS + 1))
+    edges = np.searchsorted(energy, np.linspace(0.0, energy[-1], TUNING.parts + 1))
     edges[-1] = data.time_s.size
-    least = max(_LEAST_ROWS, int(_LEAST_CYCLES / (float(frequency_hz(pole)) * data.step_s)))
+    least = max(TUNING.least_rows, int(TUNING.least_cycles / (float(frequency_hz(pole)) * data.step_s)))
     found = []
     for first, last in pairwise(edges):
         if last - first < least:

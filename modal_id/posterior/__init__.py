@@ -1,1 +1,5 @@
 """Posterior of the frequency and the damping ratio of each mode."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

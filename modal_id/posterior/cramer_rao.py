@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from tracker.arrays import FloatArray
+from modal_id.data import bandwidth_hz, baseline_matrix
+from tracker import FloatArray
 
 
 @dataclass(frozen=True)

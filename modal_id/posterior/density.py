@@ -8,8 +8,8 @@ import numpy as np
 
 from modal_id.posterior.likelihood import Likelihood
 from modal_id.posterior.noise import NoiseLevel
-from modal_id.solve.poles import pole
-from tracker.arrays import FloatArray
+from modal_id.solve import pole
+from tracker import FloatArray
 
 # Positions further than this from the best fit are outside the likelihood's series of moments, which may have any
 # value there; in Laplace's standard deviations.

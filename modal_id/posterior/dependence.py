@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.fit.amplitude_dependence import AmplitudeFit
-from modal_id.fit.model_order import ModalFit
+from modal_id.curve import amplitude_curve
+from modal_id.fit import AmplitudeFit, ModalFit
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 
-_FALSE_ALARM = 0.01
-# Change over the record, in standard deviations of errors that repeat with the motion, that these do not explain.
-_BEYOND = 3.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Dependence of damping on the amplitude."""
+
+    #: [1] probability that noise alone shows a dependence
+    #: statistics: One mode in a hundred.
+    false_alarm: float = 0.01
+    #: [sd] change over the record that errors which repeat with the motion do not explain
+    #: statistics: 0.3 % exceed it.
+    beyond: float = 3.0
+
+
+TUNING = Tuning()
+
 # Power that the fit leaves at a mode, relative to the noise beside it, above which the fit is not adequate.
 MUCH_LEFT = 4.0
 
@@ -78,8 +89,8 @@ def left_at_mode(dependence: AmplitudeDependence | None) -> float:
 
 def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:
     changes = float(np.ptp(curve.frequency_hz)), float(np.ptp(curve.damping_ratio))
-    beyond = any(change > _BEYOND * sd for change, sd in zip(changes, repeating_sd, strict=True))
-    return curve.constant_probability < _FALSE_ALARM and beyond
+    beyond = any(change > TUNING.beyond * sd for change, sd in zip(changes, repeating_sd, strict=True))
+    return curve.constant_probability < TUNING.false_alarm and beyond
 
 
 def _linear(
@@ -104,7 +115,7 @@ def _linear(
     # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
-    improves = bool(fdtrc(2.0, noise.dof, statistic) < _FALSE_ALARM)
+    improves = bool(fdtrc(2.0, noise.dof, statistic) < TUNING.false_alarm)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
         zeta0_sd=float(np.hypot(sd[0] / omega, beyond[0])),

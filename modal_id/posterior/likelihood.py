@@ -9,19 +9,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.posterior.reduction import ReducedLikelihood, Reduction, reduction
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, thinning
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, thinning
+from tracker import ComplexArray, FloatArray
 
-# Relative size of the first neglected term of the series.
-_REMAINDER = 1e-9
-_MAX_TERMS = 60
-# Logarithm of the energy of a wave over what is left when it is negligible.
-_NEGLIGIBLE = 13.8
-# Side of a tile relative to its least decay rate: its diagonal times the time in which the slowest wave in it becomes
-# negligible is then 2.5, for which 20 terms leave the same remainder.
-_SIDE, _TILE_TERMS = 0.25, 20
-_MAX_TILE_SAMPLES = 4_000_000
+
+@dataclass(frozen=True)
+class Tuning:
+    """Accuracy of the likelihood."""
+
+    #: [1] relative size of the first neglected term of the series
+    #: physics: Far below a change of the log likelihood that matters.
+    remainder: float = 1e-9
+    #: [1] terms of the series
+    #: convention: Chosen; effect not measured.
+    max_terms: int = 60
+    #: [1] logarithm of the energy of a wave over what is left when it is negligible
+    #: physics: exp(-13.8) = 1e-6.
+    negligible: float = 13.8
+    #: [1] side of a tile over its least decay rate
+    #: physics: Its diagonal times the time in which the slowest wave becomes negligible is then 2.5.
+    side: float = 0.25
+    #: [1] terms within a tile
+    #: physics: They leave the same remainder.
+    tile_terms: int = 20
+    #: [1] samples of all tiles
+    #: convention: For memory.
+    max_tile_samples: int = 4_000_000
+
+
+TUNING = Tuning()
 
 
 class Likelihood(Protocol):
@@ -60,7 +76,7 @@ class TiledLikelihood:
             middle = width * (corner + 0.5 + 0.5j)
             tile = (width, corner)
             if tile not in self.tiles:
-                self.tiles[tile] = self.reduction.about(middle, _TILE_TERMS)
+                self.tiles[tile] = self.reduction.about(middle, TUNING.tile_terms)
             result[here] = self.tiles[tile].chi_square(poles[here] - middle)
         return result
 
@@ -83,9 +99,9 @@ def reduce_mode(
         return reduction(problem, fit, mode, close).about(centre, terms)
     factor = thinning(time, 2.0 * fit.poles)
     problem = problem.thinned(factor) if factor > 1 else problem
-    least = 0.5 * _NEGLIGIBLE / problem.data.span_s
+    least = 0.5 * TUNING.negligible / problem.data.span_s
     tiles = (2.0 * reach_per_s / float(_side(np.array(centre.real), least)) + 1.0) ** 2
-    if tiles * problem.data.time_s.size > _MAX_TILE_SAMPLES:
+    if tiles * problem.data.time_s.size > TUNING.max_tile_samples:
         return None
     return TiledLikelihood(reduction(problem, fit, mode, close), centre, least)
 
@@ -93,15 +109,15 @@ def reduce_mode(
 def _side(real_per_s: FloatArray, least_per_s: float) -> FloatArray:
     """Side of the tile that holds a pole with this real part."""
     octave = np.floor(np.log2(np.maximum(-real_per_s / least_per_s, 1.0)))
-    return np.asarray(_SIDE * least_per_s * 2.0**octave)
+    return np.asarray(TUNING.side * least_per_s * 2.0**octave)
 
 
 def _terms_needed(time_s: FloatArray, growth_per_s: float, reach_per_s: float) -> int | None:
     # The radius is set by the time at which the wave has lost its energy; doubled for exp(2 lambda t).
     radius, size = 2.0 * reach_per_s * _last_s(time_s, growth_per_s), 1.0
-    for power in range(1, _MAX_TERMS):
+    for power in range(1, TUNING.max_terms):
         size *= radius / power
-        if size < _REMAINDER and power >= 6:
+        if size < TUNING.remainder and power >= 6:
             return power + 1
     return None
 
@@ -112,5 +128,9 @@ def _last_s(time_s: FloatArray, growth_per_s: float) -> float:
     energy *= np.exp(2.0 * growth_per_s * time_s)
     np.cumsum(energy, out=energy)
     return float(
-        time_s[min(int(np.searchsorted(energy, (1.0 - np.exp(-_NEGLIGIBLE)) * energy[-1])), time_s.size - 1)]
+        time_s[
+            min(
+                int(np.searchsorted(energy, (1.0 - np.exp(-TUNING.negligible)) * energy[-1])), time_s.size - 1
+            )
+        ]
     )

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
 from modal_id.posterior.likelihood import reduce_mode
@@ -18,19 +16,30 @@ from modal_id.posterior.sampler import SamplingError, sample
 from modal_id.posterior.widening import widened
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
 from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import ComplexArray, FloatArray
 
-# Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
-_COUPLED = 0.02
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the posterior includes."""
+
+    #: [1] correlation between poles of two modes above which the uncertainty of one is included in that of the other
+    #: convention: Chosen; effect not measured.
+    coupled: float = 0.02
+    #: [1] prior sd of the slope zeta1 over zeta
+    #: measurement: The damping of metal cantilevers in air falls by a third while the amplitude falls to a third.
+    slope_prior: float = 0.25
+    #: [1] relative sd of the frequency from which a motion that need not decay is no mode
+    #: convention: Chosen; effect not measured.
+    hardly_known: float = 0.02
+
+
+TUNING = Tuning()
+
 # Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
 # only be extrapolated.
 LITTLE_DECAY = 0.6
-# Prior standard deviation of the slope zeta1 relative to zeta: the damping of metal cantilevers in air decreases by a
-# third while the amplitude falls to a third.
-_SLOPE_PRIOR = 0.25
-# Relative standard deviation of the frequency from which on a motion that need not decay is no mode.
-_HARDLY_KNOWN = 0.02
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     try:
         draws = sample(found.density, correlation, settings.sampler, streams)
     except SamplingError as error:
-        return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", found.frequency_hz)
+        return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", frequency_hz=found.frequency_hz)
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
     sampled = SampledDraws(frequencies, zetas, draws.log_density, found.density.noise.dof)
     undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
@@ -113,13 +122,13 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
 def _undetermined(frequency_hz: float, frequencies_hz: FloatArray, zetas: FloatArray) -> FailedMode | None:
     """Failure of a motion whose frequency is hardly known and which need not decay: a drift looks like that."""
     sd_hz, zeta_sd = float(np.std(frequencies_hz)), float(np.std(zetas))
-    if sd_hz < _HARDLY_KNOWN * frequency_hz or 2.0 * zeta_sd < float(np.median(zetas)):
+    if sd_hz < TUNING.hardly_known * frequency_hz or 2.0 * zeta_sd < float(np.median(zetas)):
         return None
     return FailedMode(
         f"the record does not determine the motion near {frequency_hz:.3g} Hz (standard deviation {sd_hz:.2g} Hz, that "
         f"of the damping ratio {100.0 * zeta_sd:.2g} %): it may be a drift instead of a vibration; film a free decay "
         "of at least ten cycles",
-        frequency_hz,
+        frequency_hz=frequency_hz,
     )
 
 
@@ -136,7 +145,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
         return FailedMode(
             f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is a forced vibration, a "
             "hum, or noise; record the free decay after the stop",
-            frequency,
+            frequency_hz=frequency,
         )
     reach = REACH_SD * noise.factor * float(np.max(model.fit.pole_sd[index]))
     likelihood = reduce_mode(model.problem, model.fit, index, _coupled(model.fit.covariance, index), reach)
@@ -144,7 +153,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
         return FailedMode(
             f"this record hardly determines frequency and damping near {frequency:.4g} Hz; "
             "a longer record or less noise is needed",
-            frequency,
+            frequency_hz=frequency,
         )
     density = PoleDensity(
         likelihood,
@@ -222,7 +231,7 @@ def _unseen_slope_sd(zeta: float, dependence: AmplitudeDependence | None) -> flo
     its ends: an error of zeta1 adds h zeta1 to it, as long as the amplitude stays in the record's range, and m zeta1 to
     the limit at zero amplitude. m^2 = h^2 + left.
     """
-    precision = (_SLOPE_PRIOR * zeta) ** -2.0
+    precision = (TUNING.slope_prior * zeta) ** -2.0
     if dependence is not None:
         precision += dependence.zeta1_sd**-2.0
     return 1.0 / float(np.sqrt(precision))
@@ -234,4 +243,4 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     own = [2 * index, 2 * index + 1]
     strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
     strongest[index] = 0.0
-    return np.flatnonzero(strongest > _COUPLED)
+    return np.flatnonzero(strongest > TUNING.coupled)

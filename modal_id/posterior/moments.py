@@ -7,15 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit
-from modal_id.solve.waves import mode_functions, real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, Problem, mode_functions, real_columns
+from tracker import ComplexArray, FloatArray
 
 # Rows whose powers are held at one time.
 _BLOCK = 4096
-# Blocks that begin later are not added to the moments of the wave, which has fallen by exp(-30).
-_DECAY_TIMES = 30.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Waves that have decayed."""
+
+    #: [decay times] blocks that begin later are not added to the moments of a wave
+    #: physics: It has fallen by exp(-30).
+    decay_times: float = 30.0
+
+
+TUNING = Tuning()
 
 
 @dataclass
@@ -76,7 +84,7 @@ class Columns:
         shape = (terms, self.problem.sparse.shape[1] + self.count + values.shape[1])
         sums = WaveSums(np.zeros(shape, dtype=complex), np.zeros(terms, complex), np.zeros(terms))
         for rows in self._blocks():
-            if self.problem.data.time_s[rows.start] * -centre.real > _DECAY_TIMES:
+            if self.problem.data.time_s[rows.start] * -centre.real > TUNING.decay_times:
                 break
             self.add_waves(sums, values, rows, weights[rows], centre)
         return sums

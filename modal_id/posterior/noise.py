@@ -7,31 +7,54 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from modal_id.data.samples import FitData
-from modal_id.fit.amplitude_dependence import AmplitudeFit, nonlinear_decay
-from modal_id.fit.model_order import ModalFit
-from modal_id.fit.own_decay import own_decay
-from modal_id.fit.spectrum import nyquist_hz
+from modal_id.data import FitData
+from modal_id.fit import AmplitudeFit, ModalFit, nonlinear_decay, nyquist_hz, own_decay
 from modal_id.posterior.band_transform import BandTransform
-from modal_id.solve.linear import LinearSolution, Problem, solve_linear
-from modal_id.solve.normal_equations import normal_equations
-from modal_id.solve.poles import frequency_hz, pole_slopes
-from modal_id.solve.waves import Beside, ModeColumns
-from modal_id.solve.weighting import LongArray
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import (
+    Beside,
+    LinearSolution,
+    LongArray,
+    ModeColumns,
+    Problem,
+    frequency_hz,
+    normal_equations,
+    pole_slopes,
+    solve_linear,
+)
+from tracker import BoolArray, ComplexArray, FloatArray
 
-_RELATIVE_HALF_WIDTH = 0.06
-_MIN_BINS_ASIDE = 12
-# Half-power half-widths of the mode on each side: the fit absorbs about one.
-_HALF_POWER_WIDTHS = 2.5
-_OWN_BINS = 1.25
-_MAX_BINS = 150
-# Bins in which the fit leaves less than this share of white noise are not used.
-_LEAST_LEFT = 0.5
-# Channels whose levels are averaged: their standard deviation is then a few percent.
-_MOST_CHANNELS = 32
-# Prior standard deviation of the exponent of a local power law: white, pink and brown noise lie at 0, -1 and -2.
-_EXPONENT_SD = 1.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """The level of the noise beside a mode."""
+
+    #: [1] half-width of the band over the frequency
+    #: convention: Chosen; effect not measured.
+    relative_half_width: float = 0.06
+    #: [bins] fewest bins on either side
+    #: convention: Chosen; effect not measured.
+    min_bins_aside: int = 12
+    #: [half-widths] half-power half-widths of the mode left out on each side
+    #: physics: The fit absorbs about one.
+    half_power_widths: float = 2.5
+    #: [bins] the same in bins
+    #: convention: Chosen; effect not measured.
+    own_bins: float = 1.25
+    #: [bins] bins of the band
+    #: convention: Chosen; effect not measured.
+    max_bins: int = 150
+    #: [1] share of white noise that the fit leaves in a bin, below which it is not used
+    #: convention: Chosen; effect not measured.
+    least_left: float = 0.5
+    #: [1] channels whose levels are averaged
+    #: statistics: Their standard deviation is then a few per cent.
+    most_channels: int = 32
+    #: [1] prior sd of the exponent of a local power law
+    #: convention: White, pink and brown noise lie at 0, -1 and -2.
+    exponent_sd: float = 1.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -89,7 +112,7 @@ def channel_noise_level(model: ModalFit, mode: int, channels: FitData, residual:
     residual : array, shape (n, k)
         What the fit leaves in the channels.
     """
-    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, _MOST_CHANNELS).astype(int))
+    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, TUNING.most_channels).astype(int))
     problem = Problem(channels.channels(chosen), model.problem.baseline)
     linear = solve_linear(problem, ModeColumns(channels.time_s, model.fit.poles))
     columns, weights = np.zeros((residual.shape[0], 0)), np.zeros((chosen.size, 0, 0))
@@ -124,7 +147,7 @@ def _level(
         return NoiseLevel(1.0, 3.0)
     power = _power(data, residual, share, bins[free])
     left = 1.0 - _absorbed(fitted, share, bins[free]) / total
-    keep = left > _LEAST_LEFT
+    keep = left > TUNING.least_left
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
     level, dof = _power_law(power[keep] / (total * left[keep]), np.log(bins[free][keep] / centre))
@@ -145,9 +168,9 @@ def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
     span = model.data.span_s
     pole = complex(model.fit.poles[mode])
     centre = float(frequency_hz(pole))
-    width = _HALF_POWER_WIDTHS * abs(pole.real) / (2.0 * np.pi)
-    half = max(_MIN_BINS_ASIDE / span, _RELATIVE_HALF_WIDTH * centre, width)
-    stride = max(1, int(np.ceil(2.0 * half * span / _MAX_BINS)))
+    width = TUNING.half_power_widths * abs(pole.real) / (2.0 * np.pi)
+    half = max(TUNING.min_bins_aside / span, TUNING.relative_half_width * centre, width)
+    stride = max(1, int(np.ceil(2.0 * half * span / TUNING.max_bins)))
     aside = int(half * span / stride)
     below = min(aside, int(0.6 * centre * span / stride))
     return centre, np.asarray(centre + (0.5 + stride * np.arange(-below, aside + 1.0)) / span)
@@ -160,7 +183,7 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
     free = (bins > max(1.3 * model.bandwidth_hz, 1.0 / span)) & (bins < nyquist_hz(model.data.time_s))
     for other in range(poles.size):
         line = 0.0 if other == mode else abs(float(poles[other].real)) / (2.0 * np.pi)
-        free &= np.abs(bins - all_hz[other]) > _OWN_BINS / span + line
+        free &= np.abs(bins - all_hz[other]) > TUNING.own_bins / span + line
     return np.asarray(free)
 
 
@@ -211,7 +234,7 @@ def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, bins_hz: FloatA
 def _power_law(ratio: FloatArray, log_frequency: FloatArray) -> tuple[float, float]:
     """Level at log frequency 0 and its degrees of freedom."""
     design = np.stack([np.ones_like(log_frequency), log_frequency], axis=1)
-    prior = np.diag([0.0, _EXPONENT_SD**-2])
+    prior = np.diag([0.0, TUNING.exponent_sd**-2])
     guess = np.array([np.log(max(float(np.mean(ratio)), 1e-300)), 0.0])
     for _ in range(30):
         relative = ratio / np.exp(design @ guess)

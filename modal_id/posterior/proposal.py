@@ -10,17 +10,40 @@ import numpy as np
 from emcee.moves import Move
 from emcee.state import State
 
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# Cells as wide as a tenth of a standard deviation within four of them, wider by this factor further out.
-_WIDTH, _FINE, _GROWTH = 0.1, 4.0, 1.1
-_SECTORS = 32
-# Rings are added, eight at a time, as long as the density there exceeds exp(-16) of its largest value.
-_RINGS, _NEGLIGIBLE = 8, 16.0
-# Least density of a cell, relative to the largest: a cell whose corners all lie outside may contain a sliver.
-_LEAST = 1e-6
-# Steps whose proposals are drawn at one time.
-_STEPS = 20
+
+@dataclass(frozen=True)
+class Tuning:
+    """Cells of the proposal density."""
+
+    #: [sd] width of a cell near the mode
+    #: convention: Chosen; effect not measured.
+    width: float = 0.1
+    #: [sd] distance up to which cells have that width
+    #: convention: Chosen; effect not measured.
+    fine: float = 4.0
+    #: [1] growth of the width further out
+    #: convention: Chosen; effect not measured.
+    growth: float = 1.1
+    #: [1] sectors of a ring
+    #: convention: Chosen; effect not measured.
+    sectors: int = 32
+    #: [1] rings added at a time
+    #: convention: Chosen; effect not measured.
+    rings: int = 8
+    #: [1] log density below the largest at which no ring is added
+    #: physics: exp(-16) = 1e-7.
+    negligible: float = 16.0
+    #: [1] least density of a cell over the largest
+    #: physics: A cell whose corners all lie outside may contain a sliver.
+    least: float = 1e-6
+    #: [1] steps whose proposals are drawn at one time
+    #: convention: For time.
+    steps: int = 20
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -47,17 +70,17 @@ class PolarProposal:
     def draw(self, numbers: FloatArray) -> FloatArray:
         """Positions, shape (w, 2), from uniform random numbers below 1, shape (w, 3)."""
         cell = np.searchsorted(self.cumulative[:-1], numbers[:, 0], side="right")
-        ring, sector = np.divmod(cell, _SECTORS)
+        ring, sector = np.divmod(cell, TUNING.sectors)
         radius = np.sqrt(self.squares[ring] + numbers[:, 1] * np.diff(self.squares)[ring])
-        return _positions(radius, 2.0 * np.pi / _SECTORS * (sector + numbers[:, 2]), self.factor)
+        return _positions(radius, 2.0 * np.pi / TUNING.sectors * (sector + numbers[:, 2]), self.factor)
 
     def __call__(self, position: FloatArray) -> FloatArray:
         """Log density up to a constant, shape (w,), at positions, shape (w, 2), from `draw`."""
         x = position[:, 0] / self.factor[0, 0]
         y = (position[:, 1] - self.factor[1, 0] * x) / self.factor[1, 1]
         ring = np.searchsorted(self.squares, x**2 + y**2, side="right") - 1
-        sector = (np.arctan2(y, x) * (_SECTORS / (2.0 * np.pi))) % _SECTORS
-        ring, sector = np.minimum(ring, self.log_density.shape[0] - 1), np.minimum(sector, _SECTORS - 1)
+        sector = (np.arctan2(y, x) * (TUNING.sectors / (2.0 * np.pi))) % TUNING.sectors
+        ring, sector = np.minimum(ring, self.log_density.shape[0] - 1), np.minimum(sector, TUNING.sectors - 1)
         return np.asarray(self.log_density[ring, sector.astype(np.intp)])
 
 
@@ -79,19 +102,20 @@ def polar_proposal(
         None where the density is 0 or undefined at all corners.
     """
     factor = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
-    fine = np.arange(0.0, _FINE, _WIDTH)
+    fine = np.arange(0.0, TUNING.fine, TUNING.width)
     # `factor` shortens no vector by more than this.
     furthest = reach / np.sqrt(1.0 - abs(correlation))
     edges = np.append(
-        fine, np.geomspace(_FINE, furthest, 1 + int(np.log(furthest / _FINE) / np.log(_GROWTH)))
+        fine,
+        np.geomspace(TUNING.fine, furthest, 1 + int(np.log(furthest / TUNING.fine) / np.log(TUNING.growth))),
     )
-    angle = 2.0 * np.pi / _SECTORS * np.arange(_SECTORS)
-    values = np.empty((0, _SECTORS))
+    angle = 2.0 * np.pi / TUNING.sectors * np.arange(TUNING.sectors)
+    values = np.empty((0, TUNING.sectors))
     while values.shape[0] < edges.size:
-        more = edges[values.shape[0] : values.shape[0] + _RINGS]
-        corners = _positions(np.repeat(more, _SECTORS), np.tile(angle, more.size), factor)
-        values = np.concatenate([values, log_density(corners).reshape(more.size, _SECTORS)])
-        if np.max(values[-more.size :]) < np.max(values) - _NEGLIGIBLE:
+        more = edges[values.shape[0] : values.shape[0] + TUNING.rings]
+        corners = _positions(np.repeat(more, TUNING.sectors), np.tile(angle, more.size), factor)
+        values = np.concatenate([values, log_density(corners).reshape(more.size, TUNING.sectors)])
+        if np.max(values[-more.size :]) < np.max(values) - TUNING.negligible:
             break
     largest = float(np.max(values))
     if not np.isfinite(largest):
@@ -99,7 +123,7 @@ def polar_proposal(
     density = np.exp(values - largest)
     # Corners of a cell: two edges, two angles.
     density = density[1:] + density[:-1]
-    density = np.maximum(0.25 * (density + np.roll(density, -1, axis=1)), _LEAST)
+    density = np.maximum(0.25 * (density + np.roll(density, -1, axis=1)), TUNING.least)
     squares = edges[: values.shape[0]] ** 2
     mass = np.cumsum((density * np.diff(squares)[:, None]).ravel())
     return PolarProposal(factor, squares, np.log(density), mass / mass[-1])
@@ -133,14 +157,16 @@ class IndependenceMove(Move):  # type: ignore[misc]  # emcee has no types
 
         They do not depend on the walkers: many steps in one call take less time.
         """
-        numbers = np.concatenate([stream.random((_STEPS, walkers, 4)) for stream in self._streams], axis=1)
+        numbers = np.concatenate(
+            [stream.random((TUNING.steps, walkers, 4)) for stream in self._streams], axis=1
+        )
         proposed = self._proposal.draw(numbers[..., :3].reshape(-1, 3))
         value, log_q = model.log_prob_fn(proposed), self._proposal(proposed)
         count = numbers.shape[1]
         parts = (
-            proposed.reshape(_STEPS, count, 2),
-            value.reshape(_STEPS, count),
-            log_q.reshape(_STEPS, count),
+            proposed.reshape(TUNING.steps, count, 2),
+            value.reshape(TUNING.steps, count),
+            log_q.reshape(TUNING.steps, count),
         )
         return list(zip(*parts, np.log1p(-numbers[..., 3]), strict=True))
 

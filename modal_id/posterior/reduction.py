@@ -10,13 +10,20 @@ from scipy.linalg import solve_triangular
 
 from modal_id.posterior.kernels import chi_square_of
 from modal_id.posterior.moments import Columns
-from modal_id.solve.banded import BandedFactor
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, own_problem
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import BandedFactor, PoleFit, Problem, own_problem
+from tracker import ComplexArray, FloatArray
 
-# Of the other modes' inner products, relative to the largest: rounding errors may leave no more.
-_RIDGE = 1e-13
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rounding."""
+
+    #: [1] ridge of the inner products over the largest
+    #: physics: Rounding errors may leave no more.
+    ridge: float = 1e-13
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,7 @@ def reduction(problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp]
         slow = baseline.factor.whiten(cross)
         mixed = slow[:, :o]
         left = gram[:o, :o] - mixed.T @ mixed
-        left[np.diag_indices_from(left)] += _RIDGE * float(np.max(np.diag(gram)[:o], initial=0.0))
+        left[np.diag_indices_from(left)] += TUNING.ridge * float(np.max(np.diag(gram)[:o], initial=0.0))
         fast = np.linalg.cholesky(left)
         own = gram[:o, o:] - mixed.T @ slow[:, o:]
         basis = np.concatenate([slow[:, o:], solve_triangular(fast, own, lower=True, check_finite=False)])

@@ -12,10 +12,19 @@ from scipy.fft import irfft, next_fast_len, rfft
 from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.proposal import IndependenceMove, PolarProposal, polar_proposal
 from modal_id.settings import SamplerSettings
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# Steps over which an autocorrelation is summed, in autocorrelation times.
-_WINDOW = 5.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """The autocorrelation."""
+
+    #: [autocorrelation times] steps over which an autocorrelation is summed
+    #: convention: As emcee does (Sokal).
+    window: float = 5.0
+
+
+TUNING = Tuning()
 
 
 class SamplingError(Exception):
@@ -151,7 +160,7 @@ def autocorrelation_times(chains: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         mean = np.mean(products / products[:, :1], axis=2)
         times = 2.0 * np.cumsum(mean, axis=1) - 1.0
-        outside = np.arange(steps)[:, None] >= _WINDOW * times
+        outside = np.arange(steps)[:, None] >= TUNING.window * times
     window = np.where(np.any(outside, axis=1), np.argmax(outside, axis=1), steps - 1)
     return np.maximum(np.take_along_axis(times, window[:, None], axis=1)[:, 0], 1.0)
 

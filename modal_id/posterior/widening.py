@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtri
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 
 def widened(

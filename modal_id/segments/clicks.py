@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.outliers import reject_outliers
-from modal_id.data.samples import runs
-from modal_id.fit.model_order import ModalFit, refit
+from modal_id.data import reject_outliers, runs
+from modal_id.fit import ModalFit, refit
 from modal_id.record import Segment
-from modal_id.solve.poles import frequency_hz
-from tracker.arrays import BoolArray, FloatArray
+from modal_id.solve import frequency_hz
+from tracker import BoolArray, FloatArray
 
-# Rejected samples with at most this many others between them belong together.
-_GAP = 4
-# Probability, over the whole record, that as many single outliers lie together by chance.
-_FALSE_ALARM = 1e-3
-_PARTS = 40
-# Before a click, and when it has faded, the mean square of the residuals over a cycle, or over this number of samples
-# where these take longer, is below this multiple of the variance of the noise: by chance above at four standard
-# deviations.
-_LEAST, _QUIET = 32, 2.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Clicks: outliers that lie together."""
+
+    #: [samples] other samples between rejected ones that belong together
+    #: convention: Chosen; effect not measured.
+    gap: int = 4
+    #: [1] probability, over the whole record, that as many single outliers lie together by chance
+    #: statistics: One record in a thousand.
+    false_alarm: float = 1e-3
+    #: [1] parts in which the rate of outliers is counted
+    #: convention: Chosen; effect not measured.
+    parts: int = 40
+    #: [samples] samples over which the residual before a click is averaged, at least
+    #: convention: Chosen; effect not measured.
+    least: int = 32
+    #: [1] mean square of the residual over the noise below which it is quiet
+    #: statistics: By chance above at four standard deviations.
+    quiet: float = 2.0
+
+
+TUNING = Tuning()
 
 
 def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, BoolArray]:
@@ -38,11 +51,11 @@ def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, Bool
     # Outliers are not part of the residual that is to fade.
     square[bad] = 1.0
     cycle = 1.0 / (float(np.min(frequency_hz(model.fit.poles))) * model.data.step_s)
-    window = int(max(_LEAST, cycle))
+    window = int(max(TUNING.least, cycle))
     rows = np.zeros(bad.size, dtype=bool)
     for first, last in _clusters(bad):
         before, end = square[max(first - window, 0) : first], _faded(square, last, window)
-        if end + window < bad.size and before.size and np.mean(before) < _QUIET:
+        if end + window < bad.size and before.size and np.mean(before) < TUNING.quiet:
             rows[first : end + 1] = True
     if not np.any(rows):
         return model, rows
@@ -57,17 +70,17 @@ def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
     places = np.flatnonzero(bad)
     if not places.size:
         return []
-    groups = np.split(places, np.flatnonzero(np.diff(places) > _GAP + 1) + 1)
+    groups = np.split(places, np.flatnonzero(np.diff(places) > TUNING.gap + 1) + 1)
     # Single outliers are independent: `follows` is the probability that the next one follows within the gap. Where they
     # are many, they cluster by chance, but then in most parts of the record; clicks fill few parts.
-    parts = np.array_split(bad, min(_PARTS, bad.size))
+    parts = np.array_split(bad, min(TUNING.parts, bad.size))
     alone = sum(group.size == 1 for group in groups) / bad.size
     single = max(alone, float(np.median([np.mean(part) for part in parts])))
-    follows = -np.expm1((_GAP + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
+    follows = -np.expm1((TUNING.gap + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
     return [
         (int(group[0]), int(group[-1]))
         for group in groups
-        if (group.size - 1) * np.log(follows) + np.log(places.size) < np.log(_FALSE_ALARM)
+        if (group.size - 1) * np.log(follows) + np.log(places.size) < np.log(TUNING.false_alarm)
     ]
 
 
@@ -76,7 +89,9 @@ def _faded(square: FloatArray, last: int, window: int) -> int:
     sums = np.cumsum(np.concatenate([[0.0], square]))
     ends = np.arange(last, square.size - window)
     quiet = (
-        sums[ends + 1 + window] - sums[ends + 1] < _QUIET * window if ends.size else np.zeros(0, dtype=bool)
+        sums[ends + 1 + window] - sums[ends + 1] < TUNING.quiet * window
+        if ends.size
+        else np.zeros(0, dtype=bool)
     )
     return int(ends[np.argmax(quiet)]) if np.any(quiet) else square.size
 

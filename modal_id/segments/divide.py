@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import dominant_hz
 from modal_id.segments.envelope import HOPS, short_time
@@ -25,26 +25,47 @@ from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
 from modal_id.segments.steadiness import decays, is_steady, starts_to_decay
 from modal_id.segments.swing import without_swing
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# The search for events needs few samples per cycle.
-_SAMPLES_PER_CYCLE = 12.0
-# At rest, the amplitude is below this share of the largest of the record, or below this many standard deviations.
-_REST_SHARE = 0.03
-_REST_SD = 5.0
-_LEAST_CYCLES = 3.0
-_LEAST_ROWS = 12
-# An event without duration disturbs four cycles.
-_LONG_CLICK_CYCLES = 6.0
-# Least amplitude of the latter half of a driven motion, as a share of its largest (the transient of its start).
-_KEPT = 0.3
-# Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
-# share of its median rate.
-_LOUD = 0.1
-_SLOW_FALL = 0.6
-# Largest change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where
-# one does. The amplitude of a shaker drifts; without a decay after it, a slow decay that a hand ends looks the same.
-_STEADY_CHANGE = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """Events, rest and driving."""
+
+    #: [samples] samples per cycle of the search for events
+    #: convention: The search needs few.
+    samples_per_cycle: float = 12.0
+    #: [1] amplitude over the record's largest below which it is at rest
+    #: convention: Chosen; effect not measured.
+    rest_share: float = 0.03
+    #: [sd] amplitude below which it is at rest
+    #: statistics: The envelope of noise exceeds it in one window in 3e5.
+    rest_sd: float = 5.0
+    #: [cycles] shortest segment
+    #: convention: Chosen; effect not measured.
+    least_cycles: float = 3.0
+    #: [samples] the same
+    #: convention: Chosen; effect not measured.
+    least_rows: int = 12
+    #: [cycles] length from which an event is no click
+    #: convention: An event without duration disturbs four.
+    long_click_cycles: float = 6.0
+    #: [1] least amplitude of the latter half of a driven motion over its largest
+    #: convention: Less is the transient of its start.
+    kept: float = 0.3
+    #: [1] share of the largest amplitude above which driving is looked for
+    #: convention: Chosen; effect not measured.
+    loud: float = 0.1
+    #: [1] share of the median rate of fall below which driving is looked for
+    #: convention: Chosen; effect not measured.
+    slow_fall: float = 0.6
+    #: [1] largest change of the log amplitude in the latter half of driving without a decay after it
+    #: convention: A slow decay that a hand ends looks the same.
+    steady_change: float = 0.01
+
+
+TUNING = Tuning()
+
 DRIVEN_CHANGE = 0.1
 
 
@@ -131,7 +152,7 @@ def divide(
     rest_s = rest_until(beam, variance[~base], strongest)
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
     # Events are looked for in the strongest line: they interrupt it, too.
-    thin = beam.averaged(max(1, int(1.0 / (_SAMPLES_PER_CYCLE * strongest * data.step_s))))
+    thin = beam.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * strongest * data.step_s))))
     thin = without_spikes(thin, strongest)
     events = find_events(thin, strongest, lowest_hz, rest_s)
     division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events, rest_s)
@@ -191,7 +212,7 @@ class _Division:
         """
         if event.kind != "burst":
             return True
-        if (event.end_s - event.start_s) * self.frequency_hz < _LONG_CLICK_CYCLES:
+        if (event.end_s - event.start_s) * self.frequency_hz < TUNING.long_click_cycles:
             return False
         clicks = [e for e in events if e.kind == "burst"]
         begin_s = max((e.end_s for e in events if e not in clicks and e.end_s <= event.start_s), default=0.0)
@@ -202,7 +223,7 @@ class _Division:
         within = np.any([_within(self.thin.time_s, e) for e in clicks], axis=0)
         used = replace(self.thin, weights=np.where(within[:, None], 0.0, self.thin.weights))
         sides = used.between(begin_s, event.start_s), used.between(event.end_s, end_s)
-        if min(side.time_s.size for side in sides) < _LEAST_ROWS:
+        if min(side.time_s.size for side in sides) < TUNING.least_rows:
             return False
         return starts_to_decay(*sides, self.frequency_hz, self.lowest_hz)
 
@@ -243,11 +264,11 @@ class _Division:
         last_s = float(np.max(seen, initial=piece.start_s))
         cycles = (last_s - piece.start_s) * self.frequency_hz
         tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
-        long = cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= _LEAST_ROWS
+        long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         driven = (
             long
             and self._keeps_amplitude(piece)
-            and is_steady(tail, self.frequency_hz, self.lowest_hz, _STEADY_CHANGE)
+            and is_steady(tail, self.frequency_hz, self.lowest_hz, TUNING.steady_change)
         )
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
@@ -287,8 +308,8 @@ class _Division:
     def _is_driven(self, piece: _Piece) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
         late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
-        few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * _LEAST_CYCLES
-        if few or late.time_s.size < _LEAST_ROWS:
+        few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
+        if few or late.time_s.size < TUNING.least_rows:
             return True
         if not is_steady(late, self.frequency_hz, self.lowest_hz, DRIVEN_CHANGE):
             return False
@@ -303,7 +324,7 @@ class _Division:
         known = np.isfinite(envelope.amplitude) & (envelope.time_s <= piece.end_s)
         late = envelope.amplitude[known & (envelope.time_s >= middle)]
         whole = envelope.amplitude[known & (envelope.time_s >= piece.start_s)]
-        return not late.size or float(np.median(late)) > _KEPT * float(np.max(whole))
+        return not late.size or float(np.median(late)) > TUNING.kept * float(np.max(whole))
 
     def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
         """Whether the envelope falls much more slowly somewhere than on the whole, beyond noise: a quick check."""
@@ -315,9 +336,9 @@ class _Division:
         level = amplitude[inside]
         if level.size <= 2 * HOPS:
             return True
-        loud = level[: level.size - HOPS] > _LOUD * np.max(level)
+        loud = level[: level.size - HOPS] > TUNING.loud * np.max(level)
         fall = np.log(level[:-HOPS] / np.maximum(level[HOPS:], 1e-300))[loud]
-        slow = fall.size < 2 or np.min(fall) < _SLOW_FALL * np.median(fall)
+        slow = fall.size < 2 or np.min(fall) < TUNING.slow_fall * np.median(fall)
         return bool(slow and may_be_two_decays(envelope, inside))
 
     def _at_rest(self, piece: _Piece) -> bool:
@@ -331,7 +352,7 @@ class _Division:
         within = (envelope.time_s >= piece.start_s + half) & (envelope.time_s <= piece.end_s - half)
         if not np.any(np.isfinite(amplitude)):
             return False
-        limit = max(_REST_SD * envelope.amplitude_sd, _REST_SHARE * float(np.nanmax(amplitude)))
+        limit = max(TUNING.rest_sd * envelope.amplitude_sd, TUNING.rest_share * float(np.nanmax(amplitude)))
         if np.any(np.isfinite(amplitude[within])):
             return float(np.nanmax(amplitude[within])) < limit
         # Shorter than a window: the mean square of all samples.

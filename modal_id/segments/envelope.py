@@ -8,17 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from tracker import BoolArray, ComplexArray, FloatArray
 
-_CYCLES = 2.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Windows of the envelope."""
+
+    #: [cycles] length of a window
+    #: convention: Two separate the motion from an offset.
+    cycles: float = 2.0
+    #: [samples] fewest samples of a window
+    #: convention: Chosen; effect not measured.
+    min_samples: int = 10
+    #: [1] span over the usual one above which a window contains a gap
+    #: convention: Chosen; effect not measured.
+    longest: float = 1.5
+    #: [1] share of the windows of the most complete channel below which a channel is left out
+    #: convention: Chosen; effect not measured.
+    complete: float = 0.5
+
+
+TUNING = Tuning()
+
 # Windows overlap by three quarters.
 HOPS = 4
-_MIN_SAMPLES = 10
-# A window whose samples span this much more time than usual contains a gap.
-_LONGEST = 1.5
-# A channel is left out where it has less than this share of the windows of the most complete channel.
-_COMPLETE = 0.5
 # Windows at a time: the columns of all would take two hundred bytes for each sample.
 _BLOCK = 4096
 
@@ -116,13 +131,13 @@ class Windows:
 def windows(data: FitData, frequency_hz: float) -> Windows | None:
     """Windows at a frequency; None where the record is too short for three."""
     step = data.step_s
-    length = max(round(_CYCLES / (frequency_hz * step)), _MIN_SAMPLES)
+    length = max(round(TUNING.cycles / (frequency_hz * step)), TUNING.min_samples)
     length += -length % HOPS
     if data.time_s.size < 3 * length:
         return None
     first = np.arange(0, data.time_s.size - length + 1, length // HOPS)
     begin, end = data.time_s[first], data.time_s[first + length - 1]
-    whole = end - begin < _LONGEST * length * step
+    whole = end - begin < TUNING.longest * length * step
     return Windows(data.time_s, frequency_hz, first, length, 0.5 * (begin + end), 0.5 * length * step, whole)
 
 
@@ -138,7 +153,7 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
         for k in range(channels):
             beta[some, :, k], residual[some, k] = _solved(columns, data, rows, found.whole[some], k)
     counts = np.count_nonzero(np.isfinite(residual), axis=0)
-    used = counts >= _COMPLETE * np.max(counts)
+    used = counts >= TUNING.complete * np.max(counts)
     beta[:, :, ~used], residual[:, ~used] = 0.0, 0.0
     noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(counts) else np.ones(channels)
     floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300

@@ -9,14 +9,29 @@ import numpy as np
 
 from modal_id.segments.envelope import HOPS, Envelope
 
-# A jump of state or offset between neighbouring windows: in standard deviations, and as a share of the amplitude.
-_JUMP_SD = 8.0
-_JUMP_SHARE = 0.15
+
+@dataclass(frozen=True)
+class Tuning:
+    """Candidates of events."""
+
+    #: [sd] jump of state or offset between windows that is a candidate
+    #: convention: Above noise in all windows; confirmed later.
+    jump_sd: float = 8.0
+    #: [1] the same over the amplitude
+    #: convention: Chosen; effect not measured.
+    jump_share: float = 0.15
+    #: [1] candidates that are tried
+    #: convention: For time.
+    most_candidates: int = 24
+    #: [half windows] longest candidate
+    #: convention: An event without duration disturbs four.
+    longest: float = 8.0
+
+
+TUNING = Tuning()
+
 # Mean square residual within an event relative to that beside it, where the motion goes on as before.
 BURST = 9.0
-_MOST_CANDIDATES = 24
-# Longest candidate, in half windows: an event without duration disturbs four.
-_LONGEST = 8.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +58,9 @@ def event_candidates(envelope: Envelope) -> list[EventCandidate]:
     ):
         jump = (state[right] - slope[right] * half - state[left] - slope[left] * half) / envelope.noise
         size = np.sqrt(np.sum(np.abs(jump) ** 2, axis=1))
-        score = np.minimum(size / (_JUMP_SD * edge_sd), size / (_JUMP_SHARE * np.maximum(local, 1e-300)))
+        score = np.minimum(
+            size / (TUNING.jump_sd * edge_sd), size / (TUNING.jump_share * np.maximum(local, 1e-300))
+        )
         strength = np.maximum(strength, np.nan_to_num(score))
         sharpest = np.maximum(sharpest, np.nan_to_num(size))
     place = 0.5 * (envelope.time_s[left] + envelope.time_s[right])
@@ -59,11 +76,11 @@ def event_candidates(envelope: Envelope) -> list[EventCandidate]:
         # A sharp event disturbs the comparison of all windows within twice their half length.
         first = min(peak - half, worst - half, place[group[0]] + half)
         last = max(peak + half, worst + half, place[group[-1]] - half)
-        if last - first > _LONGEST * half and not _is_disturbed(envelope, first, last):
+        if last - first > TUNING.longest * half and not _is_disturbed(envelope, first, last):
             # Beats, or slow changes: only the sharpest place is an event.
             first, last = peak - half, peak + half
         found.append(EventCandidate(float(peak), float(first), float(last), float(np.max(strength[group]))))
-    strongest = sorted(found, key=lambda c: -c.strength)[:_MOST_CANDIDATES]
+    strongest = sorted(found, key=lambda c: -c.strength)[: TUNING.most_candidates]
     return _merged(sorted(strongest, key=lambda c: c.time_s), envelope)
 
 
@@ -78,7 +95,9 @@ def _gaps(envelope: Envelope) -> list[EventCandidate]:
         levels = envelope.amplitude[[left, right]]
         offset = np.sqrt(np.sum(((envelope.offset[right] - envelope.offset[left]) / envelope.noise) ** 2))
         size = max(abs(float(levels[1] - levels[0])), float(offset))
-        strength = min(size / (_JUMP_SD * edge_sd), size / (_JUMP_SHARE * max(float(np.max(levels)), 1e-300)))
+        strength = min(
+            size / (TUNING.jump_sd * edge_sd), size / (TUNING.jump_share * max(float(np.max(levels)), 1e-300))
+        )
         start_s, end_s = envelope.time_s[left] + envelope.half_s, envelope.time_s[right] - envelope.half_s
         if strength > 1.0 and end_s > start_s:
             found.append(
@@ -105,7 +124,7 @@ def _merged(candidates: list[EventCandidate], envelope: Envelope) -> list[EventC
         stronger = last if last.strength > one.strength else one
         start_s, end_s = min(last.start_s, one.start_s), max(last.end_s, one.end_s)
         # Beats look like a row of events: of these, only the strongest is one.
-        long = end_s - start_s > 0.5 * _LONGEST * least_s
+        long = end_s - start_s > 0.5 * TUNING.longest * least_s
         merged[-1] = (
             stronger
             if long and not _is_disturbed(envelope, start_s, end_s)

@@ -11,39 +11,67 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data.baseline import baseline_splines
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
+from modal_id.data import FitData, baseline_splines
+from modal_id.fit import find_modes
 from modal_id.segments.envelope import short_time
 from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import fit_poles
-from modal_id.solve.waves import ModeColumns
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.solve import ModeColumns, Problem, fit_poles, solve_linear
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# Length of the decays fitted on either side of a candidate, and the least length of one.
-_SIDE_CYCLES = 10.0
-_LEAST_CYCLES = 2.0
-_LEAST_ROWS = 10
-_MODES = 4
-# Free decays over the piece explain a candidate where they leave less than this share of the motion beside it.
-_EXPLAINED_SHARE = 0.1
-# Mean square error of a prediction that noise explains, in variances.
-_NOISE_SQUARE = 4.0
-# Bandwidth of the slow motion beside a candidate, as a share of the dominant frequency.
-_SLOW = 0.25
-# A fitted decay differs from the dominant line by less than this share of its frequency.
-_SAME_LINE = 0.1
-# A step of the offset, between the nearest cycles of either side, exceeds the range of slow motion by this factor.
-_WOBBLE = 1.5
-_NEAR_CYCLES = 2.0
-# Jump of the confirmed state, as a share of the larger amplitude and in standard deviations; where the amplitude hardly
-# changes, a jump of phase or offset must be larger (a codec shifts phases by a quarter of a radian at key frames).
-_CONFIRMED_SHARE = 0.03
-_CONFIRMED_SD = 5.0
-_INTERRUPTED_SHARE = 0.4
-_RISE = 1.25
-_FALL = 0.8
+
+@dataclass(frozen=True)
+class Tuning:
+    """Confirmation of events."""
+
+    #: [cycles] length of the decays fitted on either side of a candidate
+    #: convention: Chosen; effect not measured.
+    side_cycles: float = 10.0
+    #: [cycles] their least length
+    #: convention: Chosen; effect not measured.
+    least_cycles: float = 2.0
+    #: [samples] the same
+    #: convention: Chosen; effect not measured.
+    least_rows: int = 10
+    #: [1] modes of these decays
+    #: convention: Chosen; effect not measured.
+    modes: int = 4
+    #: [1] share of the motion that free decays over the piece may leave where they explain a candidate
+    #: convention: Chosen; effect not measured.
+    explained_share: float = 0.1
+    #: [variances] mean square error of a prediction that noise explains
+    #: statistics: Two standard deviations.
+    noise_square: float = 4.0
+    #: [1] bandwidth of the slow motion beside a candidate, over the dominant frequency
+    #: convention: Chosen; effect not measured.
+    slow: float = 0.25
+    #: [1] relative difference from the dominant line within which a fitted decay is that line
+    #: convention: Chosen; effect not measured.
+    same_line: float = 0.1
+    #: [1] factor by which a step of the offset exceeds the range of slow motion
+    #: convention: Chosen; effect not measured.
+    wobble: float = 1.5
+    #: [cycles] nearest cycles of either side between which a step is measured
+    #: convention: Chosen; effect not measured.
+    near_cycles: float = 2.0
+    #: [1] jump of the confirmed state over the larger amplitude
+    #: convention: Chosen; effect not measured.
+    confirmed_share: float = 0.03
+    #: [sd] the same
+    #: statistics: Noise exceeds it in 6e-7 of the candidates.
+    confirmed_sd: float = 5.0
+    #: [1] jump of phase or offset, over the amplitude, where the amplitude hardly changes
+    #: measurement: A codec shifts phases by a quarter of a radian at key frames.
+    interrupted_share: float = 0.4
+    #: [1] ratio of amplitudes from which the amplitude rises
+    #: convention: Chosen; effect not measured.
+    rise: float = 1.25
+    #: [1] ratio of amplitudes below which it falls
+    #: convention: Chosen; effect not measured.
+    fall: float = 0.8
+
+
+TUNING = Tuning()
+
 
 EventKind = Literal["rise", "fall", "interruption", "burst"]
 
@@ -111,10 +139,10 @@ def _confirmed(
     lowest_hz: float,
 ) -> Event | None:
     """The event at a candidate in a piece that begins at `begin_s` and is free of others until `until_s`."""
-    reach = _SIDE_CYCLES / frequency_hz
+    reach = TUNING.side_cycles / frequency_hz
     before = _between(data, max(begin_s, one.start_s - reach), one.start_s)
     after = _between(data, one.end_s, min(until_s, one.end_s + reach))
-    least = max(_LEAST_ROWS, int(_LEAST_CYCLES / (frequency_hz * data.step_s)))
+    least = max(TUNING.least_rows, int(TUNING.least_cycles / (frequency_hz * data.step_s)))
     inside = _between(data, one.start_s, one.end_s)
     if np.count_nonzero(before) < least:
         return _at_start(data, noise, one, begin_s, until_s, lowest_hz)
@@ -169,10 +197,10 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     start_s = float(data.time_s[0])
     part = data.from_time(start_s)
     steady = np.array([2j * np.pi * frequency_hz])
-    problem = Problem(part, baseline_splines(part.time_s, _SLOW * frequency_hz))
+    problem = Problem(part, baseline_splines(part.time_s, TUNING.slow * frequency_hz))
     fit = fit_poles(problem, np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz]))
     pole, linear = complex(fit.poles[0]), fit.linear
-    if abs(pole.imag / steady[0].imag - 1.0) > _SAME_LINE:
+    if abs(pole.imag / steady[0].imag - 1.0) > TUNING.same_line:
         # No line: the amplitude at the frequency is that of noise.
         pole, linear = complex(steady[0]), solve_linear(problem, ModeColumns(part.time_s, steady))
     largest = np.abs(linear.amplitudes[0]) * max(1.0, float(np.exp(min(pole.real * part.span_s, 50.0))))
@@ -180,7 +208,7 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     distance = np.abs(data.time_s - time_s)
     grown = np.exp(-pole.real * float(np.min(distance)))
     sd = grown * np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
-    near = distance < np.min(distance) + _NEAR_CYCLES / frequency_hz
+    near = distance < np.min(distance) + TUNING.near_cycles / frequency_hz
     # Slow motion goes on across the event.
     wobble = np.ptp(linear.baseline, axis=0) * (1.0 + 2.0 * np.min(distance) / max(part.span_s, 1e-300))
     state = linear.amplitudes[0] * np.exp(pole * (time_s - start_s))
@@ -192,13 +220,13 @@ def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
 
     Free decays beat, but not from rest: decays with alternating signs, fitted to the whole piece, only imitate a pluck.
     """
-    return _size(sides[0].largest, noise) < _EXPLAINED_SHARE * _size(sides[1].state, noise)
+    return _size(sides[0].largest, noise) < TUNING.explained_share * _size(sides[1].state, noise)
 
 
 def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
     """Dominant motion that remains in the residual on one side of a candidate."""
     part = replace(data, values=residual).rows(rows).from_time(float(data.time_s[rows][0]))
-    problem = Problem(part, baseline_splines(part.time_s, _SLOW * frequency_hz))
+    problem = Problem(part, baseline_splines(part.time_s, TUNING.slow * frequency_hz))
     linear = solve_linear(problem, ModeColumns(part.time_s, np.array([2j * np.pi * frequency_hz])))
     sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
     wobble = np.ptp(linear.baseline, axis=0)
@@ -210,7 +238,7 @@ def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool
     """Whether little of the dominant motion, and no step, remains in the residual on both sides."""
     level = max(_size(side.state, noise) for side in sides)
     sd = max(_size(side.state_sd, noise) for side in left)
-    limit = max(_CONFIRMED_SD * sd, _EXPLAINED_SHARE * level)
+    limit = max(TUNING.confirmed_sd * sd, TUNING.explained_share * level)
     return all(_size(side.state, noise) < limit for side in left) and _step(left, noise) < limit
 
 
@@ -221,7 +249,7 @@ def _goes_on(
 
     Decays fitted to both sides together imitate several plucks by modes at equal distances, which beat at their rate.
     """
-    near_s = _NEAR_CYCLES / frequency_hz
+    near_s = TUNING.near_cycles / frequency_hz
     for fitted, other in (spans, spans[::-1]):
         rows = _between(data, *fitted)
         earlier = other[0] < fitted[0]
@@ -231,10 +259,10 @@ def _goes_on(
             continue
         near = (seen[-1] - near_s, seen[-1]) if earlier else (seen[0], seen[0] + near_s)
         wanted = _between(data, max(near[0], other[0]), min(near[1], other[1]))
-        if np.count_nonzero(rows) < _LEAST_ROWS:
+        if np.count_nonzero(rows) < TUNING.least_rows:
             continue
         origin = float(data.time_s[rows][0])
-        model = find_modes(data.rows(rows).from_time(origin), _MODES, lowest_hz)
+        model = find_modes(data.rows(rows).from_time(origin), TUNING.modes, lowest_hz)
         if model is None:
             continue
         poles, linear = model.fit.poles, model.fit.linear
@@ -244,8 +272,8 @@ def _goes_on(
         weights = data.weights[wanted] / linear.noise_variance
         error = data.values[wanted] - predicted
         error = error - np.sum(weights * error, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-300)
-        unexplained = float(np.sum(weights * error**2)) - _NOISE_SQUARE * np.count_nonzero(weights)
-        if unexplained < _EXPLAINED_SHARE * float(np.sum(weights * predicted**2)):
+        unexplained = float(np.sum(weights * error**2)) - TUNING.noise_square * np.count_nonzero(weights)
+        if unexplained < TUNING.explained_share * float(np.sum(weights * predicted**2)):
             return True
     return False
 
@@ -257,7 +285,9 @@ def _size(values: ComplexArray | FloatArray, noise: FloatArray) -> float:
 def _step(sides: list[_Side], noise: FloatArray) -> float:
     """Jump of the offset, 0 where the range of slow motion on one side is about as large."""
     jump = np.abs(sides[1].offset - sides[0].offset)
-    return _size(np.where(jump > _WOBBLE * np.maximum(sides[0].wobble, sides[1].wobble), jump, 0.0), noise)
+    return _size(
+        np.where(jump > TUNING.wobble * np.maximum(sides[0].wobble, sides[1].wobble), jump, 0.0), noise
+    )
 
 
 def _at_start(
@@ -279,9 +309,9 @@ def _at_start(
 def _whole(data: FitData, piece: BoolArray, lowest_hz: float) -> FloatArray | None:
     """Residual of free decays over the whole piece; 0 outside."""
     part = data.rows(piece).from_time(float(data.time_s[piece][0]))
-    if part.time_s.size < _LEAST_ROWS:
+    if part.time_s.size < TUNING.least_rows:
         return None
-    model = find_modes(part, _MODES, lowest_hz)
+    model = find_modes(part, TUNING.modes, lowest_hz)
     if model is None:
         return None
     residual = np.zeros(data.values.shape)
@@ -293,16 +323,16 @@ def _boundary(before: _Side, after: _Side, one: EventCandidate, noise: FloatArra
     size_sd = _size(np.hypot(before.state_sd, after.state_sd), noise)
     levels = [_size(side.state, noise) for side in (before, after)]
     state, step = _size(after.state - before.state, noise), _step([before, after], noise)
-    if max(state, step) < max(_CONFIRMED_SD * size_sd, _CONFIRMED_SHARE * max(levels)):
+    if max(state, step) < max(TUNING.confirmed_sd * size_sd, TUNING.confirmed_share * max(levels)):
         return None
-    if max(levels) < _CONFIRMED_SD * size_sd:
+    if max(levels) < TUNING.confirmed_sd * size_sd:
         # Nothing moves on either side: a click or a step at rest.
         kind: EventKind = "interruption"
-    elif levels[1] > _RISE * levels[0]:
+    elif levels[1] > TUNING.rise * levels[0]:
         kind = "rise"
-    elif levels[1] < _FALL * levels[0]:
+    elif levels[1] < TUNING.fall * levels[0]:
         kind = "fall"
-    elif max(step, state) > _INTERRUPTED_SHARE * max(levels):
+    elif max(step, state) > TUNING.interrupted_share * max(levels):
         kind = "interruption"
     else:
         return None

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
+from modal_id.data import FitData
+from modal_id.fit import find_modes
 from modal_id.record import Onset
 from modal_id.segments.events import Event
-from modal_id.segments.stop.change_point import driven_then_free
-from modal_id.segments.stop.instant import Stop, locate_stop
-from tracker.arrays import BoolArray, FloatArray
+from modal_id.segments.stop import Stop, driven_then_free, locate_stop
+from tracker import BoolArray, FloatArray
 
-_MAX_SETTLE_FRACTION = 0.1
-# Delay of the fit after a release, in decay times, where these are shorter than a cycle.
-_SETTLE_DECAY_TIMES = 0.3
-_LIKELY = 0.95
-_MAX_EXCITED = 8
+
+@dataclass(frozen=True)
+class Tuning:
+    """The begin of the fit."""
+
+    #: [1] longest delay of the fit over the record
+    #: convention: Chosen; effect not measured.
+    max_settle_fraction: float = 0.1
+    #: [decay times] delay of the fit after a release where decay times are shorter than a cycle
+    #: convention: Chosen; effect not measured.
+    settle_decay_times: float = 0.3
+    #: [1] probability from which an onset counts as known
+    #: statistics: 95 %.
+    likely: float = 0.95
+    #: [1] modes excited by a release
+    #: convention: Chosen; effect not measured.
+    max_excited: int = 8
+
+
+TUNING = Tuning()
 
 
 def user_onset(time_s: float) -> Onset:
@@ -45,7 +61,7 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
     remaining record.
     """
     delay_s = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
-    return min(delay_s, _MAX_SETTLE_FRACTION * remaining_s)
+    return min(delay_s, TUNING.max_settle_fraction * remaining_s)
 
 
 def stop_of_shaking(
@@ -57,11 +73,11 @@ def stop_of_shaking(
     relative; `variance` is the noise variance of all of them. Times are relative to `data`.
     """
     change = driven_then_free(data.channels(~base), variance[~base], frequency)
-    if change is None or change.probability <= _LIKELY:
+    if change is None or change.probability <= TUNING.likely:
         return None
     step, last = data.step_s, float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
-    decay = find_modes(data.from_time(begin), _MAX_EXCITED, lowest_hz or 0.5 * change.drive_hz)
+    decay = find_modes(data.from_time(begin), TUNING.max_excited, lowest_hz or 0.5 * change.drive_hz)
     stop = None if decay is None else locate_stop(data, change, decay.fit)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)
@@ -127,14 +143,14 @@ def from_largest_deflection(data: FitData) -> Onset | None:
 
 def changed_onset(time_s: float, cycle_s: float, end_s: float) -> Onset:
     """Onset where the motion changes at a time that is known to a fraction of a cycle."""
-    fit_from = time_s + min(0.5 * cycle_s, _MAX_SETTLE_FRACTION * (end_s - time_s))
+    fit_from = time_s + min(0.5 * cycle_s, TUNING.max_settle_fraction * (end_s - time_s))
     note = f"The motion changes at {time_s:.4g} s: it is fitted from {fit_from:.4g} s."
     return Onset(time_s, 0.25 * cycle_s, fit_from, "interruption", 1.0, note)
 
 
 def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:
-    decay = _SETTLE_DECAY_TIMES / max(event.decay_per_s, 1e-300)
-    return min(1.0 / frequency_hz, decay, _MAX_SETTLE_FRACTION * remaining_s)
+    decay = TUNING.settle_decay_times / max(event.decay_per_s, 1e-300)
+    return min(1.0 / frequency_hz, decay, TUNING.max_settle_fraction * remaining_s)
 
 
 def detrended(data: FitData) -> FloatArray:

@@ -3,24 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData, rough_variance, runs
-from modal_id.fit.damped import MAX_DAMPING
-from modal_id.fit.spectrum import power_spectrum
+from modal_id.data import FitData, rough_variance, runs
+from modal_id.fit import MAX_DAMPING, power_spectrum
 from modal_id.record import Segment
 from modal_id.segments.find_onset import detrended
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# Of runs of repeated samples, those of at least this length are segments of their own, at most this number of them.
-_LEAST_RUN, _MOST_RUNS = 3, 8
-# Half the range between the 1 % and 99 % quantiles from which a channel moves, in standard deviations of its noise; of
-# white noise it is 2.3.
-_MOVES = 4.0
-# Standard deviations above its mean that the power of no band of white noise reaches.
-_BEYOND_NOISE = 8.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the notes mention."""
+
+    #: [samples] shortest run of repeated samples that is a segment of its own
+    #: convention: Chosen; effect not measured.
+    least_run: int = 3
+    #: [1] such segments that are named
+    #: convention: Chosen; effect not measured.
+    most_runs: int = 8
+    #: [sd] half the range between the 1 % and 99 % quantiles from which a channel moves
+    #: physics: Of white noise it is 2.3.
+    moves: float = 4.0
+    #: [sd] power of a band above its mean that is no white noise
+    #: statistics: No band of white noise reaches it.
+    beyond_noise: float = 8.0
+
+
+TUNING = Tuning()
+
 _BARELY = f"damping ratios above {MAX_DAMPING:g} are not identified"
 
 
@@ -35,15 +48,15 @@ def whole_record(
     last_row = first_row + repeated.size - 1
     complete = list(segments)
     trailing = int(np.argmin(repeated[::-1]))
-    if trailing >= _LEAST_RUN:
+    if trailing >= TUNING.least_run:
         until = float(time_s[last_row - trailing])
         complete = [replace(s, end_s=min(s.end_s, until)) for s in segments if s.start_s < until]
     if first_row > 0:
         complete.append(Segment("not used", float(time_s[0]), float(time_s[first_row])))
     if last_row < time_s.size - 1:
         complete.append(Segment("not used", float(time_s[last_row]), float(time_s[-1])))
-    long = [run for run in runs(repeated) if run[1] - run[0] >= _LEAST_RUN]
-    for start, end in sorted(long, key=lambda run: run[0] - run[1])[:_MOST_RUNS]:
+    long = [run for run in runs(repeated) if run[1] - run[0] >= TUNING.least_run]
+    for start, end in sorted(long, key=lambda run: run[0] - run[1])[: TUNING.most_runs]:
         note = f"{end - start} samples repeat the one before and were left out."
         begin, until = float(time_s[first_row + start]), float(time_s[first_row + end - 1])
         complete.append(Segment("repeated", begin, until, note))
@@ -74,7 +87,7 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
     )
     hz, share, of_noise = _fullest_band(data, most)
     near = f"; {100.0 * share:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
-    if share < of_noise and moves[most] < _MOVES * noise[most]:
+    if share < of_noise and moves[most] < TUNING.moves * noise[most]:
         return (
             f"no vibration exceeds noise and drift: {motion}; check that the object moves, what was tracked, and that "
             f"it oscillates: {_BARELY}"
@@ -100,4 +113,4 @@ def _fullest_band(data: FitData, channel: int) -> tuple[float, float, float]:
     expected = (upper - lower) / hz.size
     spread = expected / np.sqrt(np.maximum(0.5 * (upper - lower), 1.0))
     best = int(np.argmax((share - expected) / np.maximum(spread, 1e-300)))
-    return float(hz[best]), float(share[best]), float((expected + _BEYOND_NOISE * spread)[best])
+    return float(hz[best]), float(share[best]), float((expected + TUNING.beyond_noise * spread)[best])

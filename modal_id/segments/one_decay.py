@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from modal_id.segments.envelope import HOPS, Envelope
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
-_ITERATIONS = 30
-_CONVERGED = 1e-6
-# Windows on either side of a change, and in all.
-_SIDE, _LEAST = 3, 12
-# Two decays may be the better explanation from this share of the gain that the information criterion requires, because
-# windows of two cycles blur the change.
-_POSSIBLE = 0.8
+
+@dataclass(frozen=True)
+class Tuning:
+    """One decay or two."""
+
+    #: [1] iterations of the fit
+    #: convention: Chosen; effect not measured.
+    iterations: int = 30
+    #: [1] relative change at convergence
+    #: convention: Chosen; effect not measured.
+    converged: float = 1e-6
+    #: [windows] fewest windows on either side of a change
+    #: convention: Chosen; effect not measured.
+    side: int = 3
+    #: [windows] fewest windows in all
+    #: convention: Chosen; effect not measured.
+    least: int = 12
+    #: [1] share of the required gain from which two decays may be the better explanation
+    #: convention: Windows of two cycles blur the change.
+    possible: float = 0.8
+
+
+TUNING = Tuning()
 
 
 def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
@@ -24,7 +42,7 @@ def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
     """
     rows = np.flatnonzero(inside)[::HOPS]
     rows = rows[np.all(np.isfinite(envelope.state[rows]), axis=1)]
-    if rows.size < _LEAST:
+    if rows.size < TUNING.least:
         return True
     time_s = envelope.time_s[rows] - envelope.time_s[rows[0]]
     state = envelope.state[rows][:, envelope.used] / envelope.noise[envelope.used]
@@ -35,22 +53,22 @@ def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
     columns = np.stack([wave, wave * time_s / span_s], axis=1)
     joined = np.concatenate([columns, state], axis=1)
     products = np.conj(joined)[:, :, None] * joined[:, None, :]
-    before = np.cumsum(products, axis=0)[_SIDE - 1 : -_SIDE]
-    after = np.cumsum(products[::-1], axis=0)[::-1][_SIDE : 1 - _SIDE or None]
+    before = np.cumsum(products, axis=0)[TUNING.side - 1 : -TUNING.side]
+    after = np.cumsum(products[::-1], axis=0)[::-1][TUNING.side : 1 - TUNING.side or None]
     two = float(np.min(_rss(before) + _rss(after)))
     one = float(_rss(np.delete(np.delete(np.sum(products, axis=0), 1, axis=0), 1, axis=1)[None], 1)[0])
     channels = state.shape[1]
     # Real values, what a change adds (a pole and its time, an amplitude of each channel), and what noise gains by two
     # amplitudes and slopes of each channel in place of one amplitude and a pole.
     values, more, noise = 2.0 * state.size, 3.0 + 2.0 * channels, 6.0 * channels - 2.0
-    return bool(values * np.log(one / max(two, 1e-300)) > noise + _POSSIBLE * more * np.log(values))
+    return bool(values * np.log(one / max(two, 1e-300)) > noise + TUNING.possible * more * np.log(values))
 
 
 def _fitted(time: FloatArray, state: ComplexArray) -> ComplexArray | None:
     """``exp(lambda t)`` of the best pole, for times from 0 to 1; None where Gauss-Newton does not converge."""
     turned = np.sum(np.conj(state[:-1]) * state[1:])
     pole = complex(np.log(turned / np.sum(np.abs(state[:-1]) ** 2))) * (time.size - 1)
-    for _ in range(_ITERATIONS):
+    for _ in range(TUNING.iterations):
         if not np.isfinite(pole) or abs(pole.real) > 300.0:
             return None
         wave = np.exp(pole * time)
@@ -60,7 +78,7 @@ def _fitted(time: FloatArray, state: ComplexArray) -> ComplexArray | None:
         slope = slope - wave * (np.conj(wave) @ slope) / np.sum(np.abs(wave) ** 2)
         step = np.conj(slope) @ (residual @ np.conj(amplitude))
         step = complex(step / (np.sum(np.abs(slope) ** 2) * np.sum(np.abs(amplitude) ** 2)))
-        if abs(step) < _CONVERGED * max(abs(pole), 1.0):
+        if abs(step) < TUNING.converged * max(abs(pole), 1.0):
             return np.asarray(wave)
         pole += step * min(1.0, 1.0 / abs(step))
     return None

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.segments.envelope import Windows, windows
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# Mean square residual of a window, relative to that of the quieter quarter of all, from which its samples are examined;
-# no more is left where the samples removed explain it. Most windows may hold a spike.
-_LARGE, _QUIET = 9.0, 0.25
-# Share of a window's samples that may be removed, and least degrees of freedom left.
-_MOST, _LEAST_FREEDOM = 0.1, 3
-# Share of the windows about a sample that must be explained by its removal.
-_AGREED = 0.75
+
+@dataclass(frozen=True)
+class Tuning:
+    """Spikes within windows."""
+
+    #: [1] mean square residual over that of the quiet windows from which samples are examined
+    #: statistics: Three standard deviations.
+    large: float = 9.0
+    #: [1] share of the windows that set the quiet level
+    #: convention: Most windows may hold a spike.
+    quiet: float = 0.25
+    #: [1] share of a window's samples that may be removed
+    #: convention: Chosen; effect not measured.
+    most: float = 0.1
+    #: [1] least degrees of freedom left
+    #: convention: Chosen; effect not measured.
+    least_freedom: int = 3
+    #: [1] share of the windows about a sample that its removal must explain
+    #: convention: Chosen; effect not measured.
+    agreed: float = 0.75
+
+
+TUNING = Tuning()
 
 
 def without_spikes(data: FitData, frequency_hz: float) -> FitData:
@@ -37,23 +53,23 @@ def without_spikes(data: FitData, frequency_hz: float) -> FitData:
 def _spikes(found: Windows, data: FitData, channel: int) -> BoolArray:
     """Mask of the samples of one channel; shape (n,)."""
     y, w = data.values[:, channel], data.weights[:, channel]
-    most = max(1, int(_MOST * found.samples))
+    most = max(1, int(TUNING.most * found.samples))
     square, whole = np.empty(found.first.size), found.whole.copy()
     for some in found.blocks():
         rows = found.rows(some)
         residual, freedom = _residual(found.columns(some), y[rows], w[rows])
-        whole[some] &= freedom >= _LEAST_FREEDOM + most
+        whole[some] &= freedom >= TUNING.least_freedom + most
         square[some] = np.sum(w[rows] * residual**2, axis=1) / np.maximum(freedom, 1)
     if not np.any(whole):
         return np.zeros(data.time_s.size, dtype=bool)
-    limit = _LARGE * float(np.quantile(square[whole], _QUIET))
+    limit = TUNING.large * float(np.quantile(square[whole], TUNING.quiet))
     votes, of = np.zeros(data.time_s.size), np.zeros(data.time_s.size)
     for some in found.blocks(whole):
         np.add.at(of, found.rows(some), 1.0)
     for some in found.blocks(whole & (square > limit)):
         rows = found.rows(some)
         np.add.at(votes, rows[_removed(found.columns(some), y[rows], w[rows], most, limit)], 1.0)
-    return np.asarray((votes >= 1.0) & (votes >= _AGREED * of))
+    return np.asarray((votes >= 1.0) & (votes >= TUNING.agreed * of))
 
 
 def _removed(columns: FloatArray, y: FloatArray, w: FloatArray, most: int, limit: float) -> BoolArray:

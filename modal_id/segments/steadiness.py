@@ -2,31 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit, find_modes
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, fit_poles, frequency_hz
-from tracker.arrays import BoolArray
+from modal_id.data import FitData
+from modal_id.fit import ModalFit, find_modes
+from modal_id.solve import PoleFit, Problem, fit_poles, frequency_hz
+from tracker import BoolArray
 
-_MODES = 4
-# The dominant line is within this share of the frequency that was looked for.
-_SAME_LINE = 0.05
+
+@dataclass(frozen=True)
+class Tuning:
+    """Steady motion."""
+
+    #: [1] modes of the fit
+    #: convention: Chosen; effect not measured.
+    modes: int = 4
+    #: [1] relative distance from the frequency looked for within which a line is the dominant one
+    #: convention: Chosen; effect not measured.
+    same_line: float = 0.05
+    #: [1] sd of the change of the log amplitude above which nothing is known
+    #: convention: Chosen; effect not measured.
+    steady_known: float = 0.1
+    #: [1] change of the log amplitude that is steady whatever its sd
+    #: convention: Chosen; effect not measured.
+    steady_change: float = 0.02
+    #: [1] amplitude over the strongest from which a line must be steady
+    #: convention: Chosen; effect not measured.
+    strong: float = 0.2
+    #: [1] fall of the log amplitude from which it decays
+    #: convention: Chosen; effect not measured.
+    decayed: float = 0.5
+    #: [1] factor by which a decay that starts at an event is faster than the motion before
+    #: convention: A drive keeps that up.
+    starts: float = 3.0
+    #: [beats] modes with fewer beats in the record are close
+    #: physics: One mode whose amplitude changes may imitate them.
+    close_beats: float = 4.0
+    #: [1] share of the power that the fit of a free decay may leave
+    #: convention: Chosen; effect not measured.
+    most_left: float = 0.05
+
+
+TUNING = Tuning()
+
 # The logarithm of the amplitude of a steady motion changes by less than this many standard deviations, where these
 # are below the second number; or by less than the limit that the caller sets.
 STEADY_SD = 3.0
-_STEADY_KNOWN = 0.1
-_STEADY_CHANGE = 0.02
-# A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
-_STRONG, _DECAYED = 0.2, 0.5
-# A decay that starts at an event is this many times as fast as the motion before, which a drive keeps up.
-_STARTS = 3.0
-# Modes are close where their frequencies differ by less than this many times the inverse of the duration: they beat so
-# few times that one mode whose amplitude changes may imitate them.
-_CLOSE_BEATS = 4.0
-# The fit of a free decay leaves less than this share of the power.
-_MOST_LEFT = 0.05
 
 
 def is_steady(data: FitData, line_hz: float, lowest_hz: float, most_change: float) -> bool:
@@ -45,7 +68,7 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
     centred = data.values - np.mean(data.values, axis=0)
     left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
-    return fit.converged and -float(fit.poles[index].real) > STEADY_SD * sd and left < _MOST_LEFT
+    return fit.converged and -float(fit.poles[index].real) > STEADY_SD * sd and left < TUNING.most_left
 
 
 def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -61,16 +84,16 @@ def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: 
         sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
         rates.append((-float(fit.poles[index].real), STEADY_SD * sd))
     (early, early_reach), (late, late_reach) = rates
-    return _STARTS * (abs(early) + early_reach) < late - late_reach
+    return TUNING.starts * (abs(early) + early_reach) < late - late_reach
 
 
 def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
     """Fit of all modes, or of one, and the index of the mode at this frequency."""
-    model = find_modes(data, _MODES, lowest_hz)
+    model = find_modes(data, TUNING.modes, lowest_hz)
     if model is not None:
         distance = np.abs(frequency_hz(model.fit.poles) / line_hz - 1.0)
         index = int(np.argmin(distance))
-        if distance[index] < _SAME_LINE:
+        if distance[index] < TUNING.same_line:
             return model.data, model.fit, index
     start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * line_hz])
     return data, fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start), 0
@@ -78,13 +101,13 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
 
 def keeps_amplitude(model: ModalFit) -> bool:
     """Whether the strongest mode of a fit neither grows nor decays significantly."""
-    return _is_constant(model.data, model.fit, model.strongest, _STEADY_CHANGE)
+    return _is_constant(model.data, model.fit, model.strongest, TUNING.steady_change)
 
 
 def close_modes(model: ModalFit) -> BoolArray:
     """Which modes of a fit are close to each other, and to themselves; shape (modes, modes)."""
     hz = frequency_hz(model.fit.poles)
-    return np.asarray(np.abs(hz[:, None] - hz) < _CLOSE_BEATS / model.data.span_s)
+    return np.asarray(np.abs(hz[:, None] - hz) < TUNING.close_beats / model.data.span_s)
 
 
 def holds_a_decay(model: ModalFit) -> bool:
@@ -95,9 +118,9 @@ def holds_a_decay(model: ModalFit) -> bool:
     fit = model.fit
     strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
     alone = np.count_nonzero(close_modes(model), axis=1) == 1
-    for index in np.flatnonzero(alone & (strength > _STRONG * np.max(strength))).tolist():
+    for index in np.flatnonzero(alone & (strength > TUNING.strong * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
-        if rate * model.data.span_s > _DECAYED and rate > STEADY_SD * sd * _noise_factor(
+        if rate * model.data.span_s > TUNING.decayed and rate > STEADY_SD * sd * _noise_factor(
             model.data, fit, index
         ):
             return True
@@ -107,7 +130,7 @@ def holds_a_decay(model: ModalFit) -> bool:
 def _is_constant(data: FitData, fit: PoleFit, index: int, most_change: float) -> bool:
     change = abs(float(fit.poles[index].real)) * data.span_s
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index) * data.span_s
-    return change < most_change or (change < STEADY_SD * sd and sd < _STEADY_KNOWN)
+    return change < most_change or (change < STEADY_SD * sd and sd < TUNING.steady_known)
 
 
 def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:

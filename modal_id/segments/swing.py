@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.baseline import baseline_splines
-from modal_id.data.samples import FitData
-from modal_id.fit.candidates import candidates
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.waves import no_columns
-from tracker.arrays import FloatArray
+from modal_id.data import FitData, baseline_splines
+from modal_id.fit import candidates
+from modal_id.solve import Problem, no_columns, solve_linear
+from tracker import FloatArray
 
 # A swing has fewer cycles than this, and less than this share of the frequency of the motion.
 FEW_CYCLES = 12.0
-_SLOW = 0.25
-# Bandwidth of the splines, in frequencies of the swing: they follow a sine within 1e-3 of its amplitude.
-_FOLLOWED = 6.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Swings of the whole set-up."""
+
+    #: [1] frequency of a swing over that of the motion, at most
+    #: convention: Chosen; effect not measured.
+    slow: float = 0.25
+    #: [1] bandwidth of the splines over the frequency of the swing
+    #: physics: They follow a sine within 1e-3 of its amplitude.
+    followed: float = 6.0
+
+
+TUNING = Tuning()
 
 
 def without_swing(data: FitData, variance: FloatArray, frequency_hz: float, detrended: FloatArray) -> FitData:
@@ -28,10 +38,10 @@ def without_swing(data: FitData, variance: FloatArray, frequency_hz: float, detr
     the motion.
     """
     lines = [c.frequency_hz for c in candidates(data, detrended, variance, 0.0, ())]
-    slow = [f for f in lines if f < _SLOW * frequency_hz and f * data.span_s < FEW_CYCLES]
+    slow = [f for f in lines if f < TUNING.slow * frequency_hz and f * data.span_s < FEW_CYCLES]
     if not slow:
         return data
-    bandwidth = min(_FOLLOWED * max(slow), _SLOW * frequency_hz)
+    bandwidth = min(TUNING.followed * max(slow), TUNING.slow * frequency_hz)
     problem = Problem(data, baseline_splines(data.time_s, bandwidth))
     moving = solve_linear(problem, no_columns(data.time_s)).residual
     return replace(data, values=np.where(data.weights > 0.0, moving, 0.0))

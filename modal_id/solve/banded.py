@@ -12,7 +12,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dpbtrs, dtbtrs
 from scipy.sparse import csr_array
 
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 Right = TypeVar("Right", FloatArray, ComplexArray)
 

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# Eigenvalues below this share of the largest are 0, as in `numpy.linalg.pinv`.
-_NEGLIGIBLE = 1e-15
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rounding."""
+
+    #: [1] eigenvalue over the largest that counts as 0
+    #: convention: As in `numpy.linalg.pinv`.
+    negligible: float = 1e-15
+
+
+TUNING = Tuning()
 
 
 def cholesky(matrix: FloatArray) -> tuple[FloatArray, bool]:
@@ -39,5 +50,5 @@ def pseudo_inverse(matrix: FloatArray) -> FloatArray:
     signed = values[order]
     size, left = np.abs(signed), np.take(vectors, order, axis=1)
     inverse = np.zeros(size.shape)
-    np.divide(1.0, size, where=size > _NEGLIGIBLE * size[0], out=inverse)
+    np.divide(1.0, size, where=size > TUNING.negligible * size[0], out=inverse)
     return np.asarray((left * np.copysign(1.0, signed)) @ (inverse[:, None] * left.T))

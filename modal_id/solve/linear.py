@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from modal_id.data.samples import FitData, neighbour_sums
+from modal_id.data import FitData, neighbour_sums
 from modal_id.solve.banded import BandedFactor
 from modal_id.solve.dense import cholesky, solve
 from modal_id.solve.weighting import (
@@ -22,10 +22,20 @@ from modal_id.solve.weighting import (
     some_rows,
     weighting,
 )
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
-# Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
-_RIDGE = 1e-13
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rounding."""
+
+    #: [1] relative ridge of the normal equations
+    #: physics: Keeps them solvable where a baseline spline sees no sample; above rounding.
+    ridge: float = 1e-13
+
+
+TUNING = Tuning()
+
 _ROUNDING = 32.0 * np.finfo(float).eps
 
 
@@ -63,7 +73,7 @@ class Problem:
         parts = []
         normals = self.weighting.baseline_normal()
         for normal, moment in zip(normals, self.weighting.baseline_own(self.data.values), strict=True):
-            normal[0] += _RIDGE * float(np.max(normal[0])) + 1e-300
+            normal[0] += TUNING.ridge * float(np.max(normal[0])) + 1e-300
             factor = BandedFactor.of(normal)
             parts.append(SlowPart(factor, moment, factor.solve(moment)))
         return tuple(parts)
@@ -155,7 +165,7 @@ def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
         # Where the baseline explains the functions at the used samples, or they are 0 there, only rounding errors of
         # the products are left: of functions that begin with 1.
         ridge = max(
-            _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
+            TUNING.ridge * (np.max(np.diag(gram), initial=0.0) + 1e-300),
             _ROUNDING * np.max(np.diag(own.inner), initial=1.0),
         )
         gram.flat[:: p + 1] += ridge

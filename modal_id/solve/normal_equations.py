@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from modal_id.solve.linear import LinearSolution, Problem, projected_grams
 from modal_id.solve.weighting import LongArray
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 
 def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:

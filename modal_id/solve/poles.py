@@ -10,21 +10,44 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.solve.dense import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, solve_linear
 from modal_id.solve.normal_equations import normal_equations, slope_weights
 from modal_id.solve.waves import ModeColumns, TimesTime, motion
 from modal_id.solve.weighting import LongArray
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
-_MAX_ITERATIONS = 40
-_SEARCH_ITERATIONS = 15
-_MAX_HALVINGS = 10
-# Steps below this fraction of the standard deviation are negligible: in a result, and where a fit is refined later.
-_STEP_TOLERANCE, _ROUGH_TOLERANCE = 2e-3, 0.05
-# More growth than exp(300) over the record would overflow; a motion that decays faster leaves one sample.
-_MOST_GROWTH, _MOST_RATE_PER_SAMPLE = 300.0, 3.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the poles."""
+
+    #: [1] iterations of a result
+    #: convention: Chosen; effect not measured.
+    max_iterations: int = 40
+    #: [1] iterations of a search
+    #: convention: Chosen; effect not measured.
+    search_iterations: int = 15
+    #: [1] halvings of a step
+    #: convention: Chosen; effect not measured.
+    max_halvings: int = 10
+    #: [sd] step that is negligible in a result
+    #: statistics: Far below the sd that is printed.
+    step_tolerance: float = 2e-3
+    #: [sd] step that is negligible where a fit is refined later
+    #: convention: Chosen; effect not measured.
+    rough_tolerance: float = 0.05
+    #: [1] largest logarithm of the growth over the record
+    #: physics: More than exp(300) would overflow.
+    most_growth: float = 300.0
+    #: [1] largest decay rate per sample
+    #: physics: A motion that decays faster leaves one sample.
+    most_rate_per_sample: float = 3.0
+
+
+TUNING = Tuning()
+_STEP_TOLERANCE = TUNING.step_tolerance
 
 
 @dataclass(frozen=True)
@@ -86,22 +109,22 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2 and search:
-        return gauss_newton(problem, start, _SEARCH_ITERATIONS, _ROUGH_TOLERANCE)
+        return gauss_newton(problem, start, TUNING.search_iterations, TUNING.rough_tolerance)
     if factor < 2:
-        return gauss_newton(problem, start, _MAX_ITERATIONS)
-    coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS, _ROUGH_TOLERANCE)
+        return gauss_newton(problem, start, TUNING.max_iterations)
+    coarse = gauss_newton(problem.thinned(factor), start, TUNING.max_iterations, TUNING.rough_tolerance)
     good = bool(np.all(np.isfinite(coarse.poles)))
     if search and good:
         linear = solve_linear(problem, ModeColumns(problem.data.time_s, coarse.poles))
         return replace(coarse, linear=linear)
-    return gauss_newton(problem, coarse.poles if good else start, _MAX_ITERATIONS)
+    return gauss_newton(problem, coarse.poles if good else start, TUNING.max_iterations)
 
 
 def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
     """Poles from averages of neighbouring samples only: starting values for a joint fit with other modes."""
     factor = thinning(problem.data.time_s, start)
     coarse = problem if factor < 2 else problem.thinned(factor)
-    return gauss_newton(coarse, start, _SEARCH_ITERATIONS, _ROUGH_TOLERANCE).poles
+    return gauss_newton(coarse, start, TUNING.search_iterations, TUNING.rough_tolerance).poles
 
 
 def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
@@ -160,9 +183,9 @@ def _line_search(
     # The linearisation does not hold for a phase change of more than a radian over the record.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
     change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
-    least, most = -_MOST_RATE_PER_SAMPLE / data.step_s, _MOST_GROWTH / max(data.span_s, 1e-300)
+    least, most = -TUNING.most_rate_per_sample / data.step_s, TUNING.most_growth / max(data.span_s, 1e-300)
     now = objective(data, linear)
-    for _ in range(_MAX_HALVINGS):
+    for _ in range(TUNING.max_halvings):
         trial = poles + change
         # A pole and its conjugate describe the same motion; a long step of a strongly damped mode may reach the latter.
         trial.imag = np.abs(trial.imag)

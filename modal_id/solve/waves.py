@@ -12,13 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.solve.weighting import BLOCK_ROWS, LongArray
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Even times."""
+
+    #: [rad] error of phase up to which times count as even
+    #: physics: Far below the noise of a sample.
+    even: float = 1e-9
+    #: [1] values up to which the functions of all samples are held
+    #: convention: For memory.
+    few_values: int = 500_000
+
+
+TUNING = Tuning()
 
 # Samples of a block whose times are multiples of the step, and the largest error of phase in radians up to which times
 # count as even.
-_BLOCK, _EVEN = 512, 1e-9
-# Values up to which the functions of all samples are held.
-_FEW_VALUES = 500_000
+_BLOCK = 512
 
 Rows = slice | NDArray[np.intp]
 
@@ -47,7 +60,7 @@ class ModeColumns:
 
     def __getitem__(self, rows: Rows) -> FloatArray:
         """Some rows of the columns."""
-        few = self.time_s.size * self.poles.size <= _FEW_VALUES
+        few = self.time_s.size * self.poles.size <= TUNING.few_values
         return real_columns(self._all[rows] if few else self.functions(rows))
 
     def functions(self, rows: Rows) -> ComplexArray:
@@ -77,7 +90,7 @@ class ModeColumns:
         for first in range(0, time_s.size, _BLOCK):
             own = time_s[first : first + _BLOCK]
             largest = max(largest, float(np.max(np.abs(own[0] + within[: own.size] - own))))
-        return largest * float(np.max(np.abs(self.poles))) <= _EVEN
+        return largest * float(np.max(np.abs(self.poles))) <= TUNING.even
 
     @cached_property
     def _blocks(self) -> tuple[ComplexArray, ComplexArray]:

@@ -11,12 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 from modal_id.solve.banded import normal_band
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
-_MAX_DIFFERENT = 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Products shared."""
+
+    #: [1] share of samples in which weights of a group may differ
+    #: convention: For time.
+    max_different: float = 0.1
+
+
+TUNING = Tuning()
+
 # Samples at a time: SciPy copies both factors of a sparse product, and columns are made when they are needed.
 BLOCK_ROWS = 16_384
 
@@ -205,13 +215,15 @@ class Weighting:
 def weighting(data: FitData, splines: SparseColumns) -> Weighting:
     """Bases and groups of the data's weights, with the baseline's columns, shape (n, b)."""
     top = np.max(data.weights, axis=1)
-    usual = np.count_nonzero(top != 1.0) <= _MAX_DIFFERENT * top.size
+    usual = np.count_nonzero(top != 1.0) <= TUNING.max_different * top.size
     chosen: list[FloatArray] = [np.broadcast_to(1.0, top.shape) if usual else top]
     members: list[list[int]] = [[]]
     groups = []
     for channels, weights in data.groups:
         differs = [np.flatnonzero(weights != base) for base in chosen]
-        near = [place for place, rows in enumerate(differs) if rows.size <= _MAX_DIFFERENT * weights.size]
+        near = [
+            place for place, rows in enumerate(differs) if rows.size <= TUNING.max_different * weights.size
+        ]
         if not near:
             near = [len(chosen)]
             chosen.append(weights)

@@ -1,4 +1,4 @@
-"""The application and its entry point."""
+"""The application and its entry point, with ``init``, ``check-config``, ``verify`` and ``info``."""
 
 from __future__ import annotations
 
@@ -6,28 +6,98 @@ import errno
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modalcam import __version__
-from modalcam.cli.compare import compare
+from modalcam.cli.command import COMMANDS, Command, register_command
 from modalcam.cli.figures import figures
-from modalcam.cli.options import Command, console
-from modalcam.cli.paper import paper
-from modalcam.cli.plan import plan
-from modalcam.cli.preview import preview
+from modalcam.cli.options import Replace, console
 from modalcam.cli.probe import probe
-from modalcam.cli.render import demo, render
 from modalcam.cli.run import identify, report, run, simulate, track
-from modalcam.cli.setup import check_config, info, init, verify
-from modalcam.cli.studio import pick, studio
-from modalcam.cli.targets import calibrate, markers
-from modalcam.errors import ExitCode, ModalcamError
-from modalcam.execution.heap import return_large_arrays
-from modalcam.execution.local import SINGLE_THREAD
-from modalcam.files import silence_readers
-from modalcam.names import for_terminal, shown
+from modalcam.common import (
+    ConfigError,
+    ExitCode,
+    ModalcamError,
+    check_new,
+    for_terminal,
+    shown,
+    silence_readers,
+)
+from modalcam.pipeline import SINGLE_THREAD, return_large_arrays
+from modalcam.plugins import load_apps, load_entry_points
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(help="Folder of recordings.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="File to write; default: standard output.")
+    ] = None,
+    force: Replace = False,
+) -> None:
+    """Write a commented experiment.toml for a folder of recordings."""
+    from modalcam.inputs import starter_config
+    from modalcam.pipeline import worker_pool
+
+    with worker_pool(1) as pool:
+        text = starter_config(folder, each=pool.map)
+    if out is None:
+        typer.echo(text, nl=False)
+        return
+    from modalcam.pipeline import write_text
+
+    check_new(out, force=force)
+    write_text(out, text)
+
+
+def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml.")]) -> None:
+    """Check a configuration and print it as modalcam reads it."""
+    from modalcam.config import dump_config, load_config, unusable_recordings
+
+    read = load_config(config)
+    typer.echo(dump_config(read), nl=False)
+    if unusable := unusable_recordings(read):
+        msg = f"{shown(str(config))}: {'; '.join(unusable)}"
+        raise ConfigError(msg)
+
+
+def verify(
+    out: Annotated[Path, typer.Argument(help="Folder of results.")],
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FOLDER]", help="Folder of the recordings, to compare them, too."),
+    ] = None,
+) -> None:
+    """Compare OUT, and the recordings, with the hashes of the run."""
+    from modalcam.pipeline import changed_files, changed_recordings
+
+    number, changes = changed_files(out)
+    if folder is not None:
+        more, others = changed_recordings(out, folder)
+        number, changes = number + more, [*changes, *others]
+    for change in changes:
+        typer.echo(for_terminal(change))
+    typer.echo(f"{number - len(changes)} of {number} files are those of the run")
+    raise typer.Exit(ExitCode.PARTIAL if changes else ExitCode.OK)
+
+
+def info() -> None:
+    """Print versions, processor and BLAS, for a bug report."""
+    import os
+
+    from modalcam.pipeline import opencv_wheels, processor, versions
+
+    for name, version in (*versions(), *processor()):
+        typer.echo(f"{name} {version}")
+    typer.echo(f"processors {os.cpu_count()}")
+    wheels = opencv_wheels()
+    if len(wheels) > 1:
+        typer.echo(
+            f"warning: several OpenCV packages are installed ({', '.join(wheels)}); keep one", err=True
+        )
+
 
 # What the system says of a medium without space, such as that of the compiled kernels, and of a name; what to do.
 _REMEDIES = dict.fromkeys(
@@ -61,14 +131,12 @@ def _main(
     pass
 
 
-# In the order in which --help lists them.
-for _commands in (
-    (run, studio, track, identify, simulate, report, figures, compare, verify),
-    (demo, render, preview, plan, paper),
-    (init, probe, pick, check_config, info, markers, calibrate),
-):
-    for _command in _commands:
-        app.command(cls=Command)(_command)
+for _command in (run, track, identify, simulate, report, figures, verify, init, probe, check_config, info):
+    register_command(_command)
+load_apps("cli")
+load_entry_points("modalcam.commands")
+for _name, _function in COMMANDS.items():
+    app.command(_name, cls=Command)(_function)
 
 
 def main() -> None:

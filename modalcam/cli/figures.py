@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import Replace
-from modalcam.files import check_new
-from modalcam.names import shown
+from modalcam.common import check_new, shown
 
 
 def figures(
@@ -25,8 +24,8 @@ def figures(
 ) -> None:
     """Write the figures of the report as SVG and PDF, with data."""
     check_new(to / "captions.txt", force=force)
-    from modalcam.pipeline.saved import load_run
-    from modalcam.report.figure_files import write_figures
+    from modalcam.pipeline import load_run
+    from modalcam.report import write_figures
 
     written = write_figures(load_run(out), to, columns=columns)
     typer.echo(f"{len(written)} files in {shown(str(to))}")

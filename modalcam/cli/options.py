@@ -7,23 +7,20 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
-from typer.core import TyperCommand
 
-from modalcam.errors import ExitCode, InputError, ModalcamError
-from modalcam.execution.heap import low_memory_limits
-from modalcam.execution.local import Limits
-from modalcam.files import real
+from modalcam.common import ExitCode, ModalcamError, real
+from modalcam.pipeline import Limits
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from modalcam.commands import Options
-    from modalcam.execution.pool import Progress
-    from modalcam.pipeline.results import RunResult
+    from modalcam.pipeline import Progress, RunResult
 
 # Help of an option that mirrors a key of the configuration is made from the key's field.
 CONFIG_HELP = "config:"
@@ -44,6 +41,11 @@ Links = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Only failures and warnings.")]
+ProgressFormat = Literal["text", "json"]
+ToldProgress = Annotated[
+    ProgressFormat,
+    typer.Option("--progress", help="Format on standard error."),
+]
 Strict = Annotated[
     bool,
     typer.Option("--strict", help="Exit with 4 also where a value may be wrong."),
@@ -126,35 +128,6 @@ def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return decorate
 
 
-class Command(TyperCommand):
-    """Command that fills in the help of options which mirror the configuration, when it is shown.
-
-    Where the reader of standard output has closed it (`| head`), it ends quietly, with the exit code of a program that
-    SIGPIPE ends: what it was to say may have been that something failed.
-    """
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command, unless the memory it may use is too small for its libraries, which would end anywhere."""
-        if low := low_memory_limits():
-            raise InputError(low)
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            # What is still buffered is written when Python ends.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(ExitCode.CLOSED_OUTPUT) from None
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
-        for parameter in self.params:
-            key = str(getattr(parameter, "help", ""))
-            if key.startswith(CONFIG_HELP):
-                from modalcam.config.reference import option
-
-                vars(parameter)["help"] = option(key.removeprefix(CONFIG_HELP)).short_help
-        super().format_help(ctx, formatter)
-
-
 def results_console(width: int | None = None) -> Console:
     """Console for results, on standard output."""
     from rich.console import Console
@@ -186,7 +159,6 @@ def results_folder(target: Path) -> Path:
 def run_options(
     out: Path,
     *,
-    fps: str | None = None,
     jobs: int | None = None,
     time_limit: float | None = None,
     memory_limit: float | None = None,
@@ -197,22 +169,18 @@ def run_options(
 ) -> Options:
     """Options of a run from those of the command line; `others` are passed on unchanged."""
     from modalcam.commands import Options
-    from modalcam.inputs.discover import Selection
-    from tracker.settings_base import parse_fps
+    from modalcam.config import CameraConfig, camera_given
+    from modalcam.inputs import Selection
 
     if out == Path("-"):
         msg = "-o -: results are a folder of files; give its name. `--json` prints a summary on standard output."
         raise ModalcamError(msg)
-    try:
-        rate = None if fps is None else parse_fps(fps)
-    except ValueError as error:
-        msg = f"--fps: {error}"
-        raise ModalcamError(msg) from None
+    given = {name: others.pop(name) for name in tuple(others) if name in CameraConfig.model_fields}
     memory_bytes = None if memory_limit is None else round(1e9 * memory_limit)
     limits = Limits(Limits().seconds if time_limit is None else time_limit, memory_bytes)
     return Options(
         out=out,
-        fps=rate,
+        camera=camera_given(given, prefix="--"),
         jobs=jobs or os.cpu_count() or 1,
         limits=limits,
         plugins=tuple(plugins or ()),
@@ -229,18 +197,24 @@ def compute(
     as_json: bool = False,
     quiet: bool = False,
     strict: bool = False,
+    progress: ProgressFormat = "text",
 ) -> NoReturn:
     """Run a command of `modalcam.commands` with a progress display, print the outcome and exit."""
-    from modalcam.console import finish, listener
+    from modalcam.console import JsonProgress, finish, listener
 
-    with listener(console(), -1 if quiet else verbose) as progress:
-        result = command(options, progress)
-    code = finish(
-        console(),
-        options.out,
-        as_json=as_json,
-        quiet=quiet,
-        strict=strict,
-        internal_errors=result.internal_errors,
-    )
-    raise typer.Exit(code)
+    told = JsonProgress() if progress == "json" else None
+
+    def computed() -> ExitCode:
+        with nullcontext(told) if told else listener(console(), -1 if quiet else verbose) as shown:
+            result = command(options, shown)
+        return finish(
+            told.console if told else console(),
+            options.out,
+            as_json=as_json,
+            # The modes are in summary.json.
+            quiet=quiet or told is not None,
+            strict=strict,
+            internal_errors=result.internal_errors,
+        )
+
+    raise typer.Exit(told.ended(computed) if told else computed())

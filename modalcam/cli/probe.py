@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modalcam.cli.options import Json, Links, results_console
-from modalcam.errors import ExitCode
+from modalcam.common import ExitCode
 
 if TYPE_CHECKING:
-    from modalcam.inputs.probe import Probe
+    from modalcam.inputs import Probe
 
 
 def probe(
@@ -25,8 +25,8 @@ def probe(
     import json
     from dataclasses import asdict
 
-    from modalcam.execution.pool import worker_pool
-    from modalcam.inputs.probe import probe_folder
+    from modalcam.inputs import probe_folder
+    from modalcam.pipeline import worker_pool
 
     # In another process: a recording may be made to need any time or memory.
     with worker_pool(1) as pool:
@@ -43,7 +43,7 @@ def _show(probes: tuple[Probe, ...]) -> None:
     from rich.table import Column, Table
     from rich.text import Text
 
-    from modalcam.names import shown
+    from modalcam.common import shown
 
     console = results_console()
     # Folded, never cut.

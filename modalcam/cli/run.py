@@ -16,6 +16,7 @@ from modalcam.cli.options import (
     NamedOut,
     Quiet,
     Strict,
+    ToldProgress,
     Verbose,
     compute,
     console,
@@ -23,8 +24,7 @@ from modalcam.cli.options import (
     run_options,
     takes,
 )
-from modalcam.errors import ModalcamError
-from modalcam.files import check_new, readable_bytes
+from modalcam.common import ModalcamError, check_new, readable_bytes
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
@@ -46,12 +46,14 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = False,
     strict: Strict = False,
+    progress: ToldProgress = "text",
 ) -> None:
     """Track, identify, simulate and report a recording or a folder."""
     from modalcam import commands
 
     options = run_options(out or results_folder(target), **common)
-    compute(partial(commands.run, target), options, verbose, as_json=json_, quiet=quiet, strict=strict)
+    command = partial(commands.run, target)
+    compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict, progress=progress)
 
 
 @takes(
@@ -80,8 +82,8 @@ def track(
     """Track the markers only and write OUT/tracks."""
     from modalcam import commands
     from modalcam.console import listener, tracked
-    from modalcam.video.track_preview import check_preview, write_preview
-    from tracker.results import MarkerTracks
+    from modalcam.tables import check_preview, write_preview
+    from tracker import MarkerTracks
 
     out = out or results_folder(target)
     if preview is not None:
@@ -132,8 +134,8 @@ def identify(
 ) -> None:
     """Identify modes from a table of motion: .csv, .mat, .uff, ..."""
     from modalcam import commands
-    from modalcam.config.toml import parse_recording
-    from modalcam.inputs.table import MAX_BYTES
+    from modalcam.config import parse_recording
+    from modalcam.inputs import MAX_BYTES
 
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from modalcam.config.schema import CameraConfig, ExperimentConfig, MarkersConfig
-from tracker.settings_base import models_in
+from tracker import models_in
 
 COMMENT_WIDTH = 110
 MARKDOWN_HEAD = """\

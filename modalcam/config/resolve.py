@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from modal_id.settings import IdentifyOptions, IdentifySettings
+from modal_id import IdentifyOptions, IdentifySettings
+from modalcam.common import ConfigError
 from modalcam.config.schema import (
     REQUIRED_OF_BEAM,
     BeamConfig,
@@ -16,12 +17,10 @@ from modalcam.config.schema import (
     RecordingConfig,
     UpdatingConfig,
 )
-from modalcam.errors import ConfigError
-from sim.beam.modes import BeamModes
-from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
+from sim.beam import BeamModes, BeamProperties, ElasticClamp, PointMass
 from sim.updating import UpdatingSettings
-from tracker.geometry.lens import Lens
-from tracker.settings import CameraOptions, MarkerOptions, TrackerSettings
+from tracker import CameraOptions, MarkerOptions, TrackerSettings
+from tracker.geometry import Lens
 
 
 def tracker_settings(recording: RecordingConfig) -> TrackerSettings:

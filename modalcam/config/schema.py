@@ -1,21 +1,141 @@
 """Sections and keys of `experiment.toml`: each key is one field with its description, limits and example.
 
 `modalcam init`, docs/configuration.md and the help texts of the command line are generated from these fields.
+
+Quantities that cannot be in the unit of their key, such as a length in metres under `length_mm`.
 """
 
 from __future__ import annotations
 
 import difflib
-from fractions import Fraction
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
-from modal_id.settings import IdentifyOptions
-from modalcam.config.units import position_problem, unit_problem
+from modal_id import IdentifyOptions
+from modalcam.common import ConfigError
 from sim.damping import selectable_damping_models
-from tracker.settings import CameraOptions, MarkerOptions
-from tracker.settings_base import Finite, Length, NonNegative, Options, Point, Positive
+from tracker import (
+    CameraOptions,
+    Finite,
+    Length,
+    MarkerOptions,
+    NonNegative,
+    Options,
+    Point,
+    Positive,
+    problems,
+)
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Properties beyond which a value is taken to be in another unit."""
+
+    #: [kg/m3] a smaller density is refused
+    #: physics: Foams for models begin there.
+    least_density: float = 10.0
+    #: [kg/m3] a larger density is refused
+    #: physics: The densest metals end at 22 600 kg/m3.
+    most_density: float = 30_000.0
+    #: [MPa] a smaller modulus is refused
+    #: physics: Soft rubber has 0.1 MPa.
+    least_modulus: float = 1e-3
+    #: [MPa] a larger modulus is refused
+    #: physics: Diamond has 1.2e6 MPa.
+    most_modulus: float = 2e6
+    #: [kg/m3] from this density on the modulus is at least `softest_dense`
+    #: physics: No material that is denser than light metals is softer.
+    dense: float = 2500.0
+    #: [MPa] a smaller modulus of a dense material is refused
+    #: physics: As for `dense`.
+    softest_dense: float = 1000.0
+    #: [thicknesses] a shorter beam is refused
+    #: physics: It is no thin beam.
+    least_length: float = 3.0
+    #: [thicknesses] a longer beam is refused
+    #: physics: A tape of 1 m and 0.01 mm has 1e5.
+    most_length: float = 3e5
+    #: [thicknesses] a narrower beam is refused
+    #: physics: It bends in the other plane.
+    least_width: float = 0.05
+    #: [thicknesses] a wider beam is refused
+    #: physics: A foil of 0.3 m and 0.01 mm has 3e4.
+    most_width: float = 3e4
+
+
+TUNING = Tuning()
+
+
+def unit_problem(
+    length_mm: float | None,
+    width_mm: float | None,
+    thickness_mm: float | None,
+    density_kg_m3: float | None,
+    elastic_modulus_mpa: float | None,
+) -> str | None:
+    """Sentence about a property of a beam that cannot be in the unit of its key, with the likely unit, or None."""
+    material = _material(density_kg_m3, elastic_modulus_mpa)
+    if material is not None or thickness_mm is None:
+        return material
+    for name, value, (least, most) in (
+        ("length_mm", length_mm, (TUNING.least_length, TUNING.most_length)),
+        ("width_mm", width_mm, (TUNING.least_width, TUNING.most_width)),
+    ):
+        if value is None or least <= value / thickness_mm <= most:
+            continue
+        small, large = (name, "thickness_mm") if value < least * thickness_mm else ("thickness_mm", name)
+        size = {name: value, "thickness_mm": thickness_mm}
+        return (
+            f"{name} = {value:g} and thickness_mm = {thickness_mm:g} are not those of a beam that bends; if {small} is "
+            f"in metres, write {1e3 * size[small]:g}; if {large} is in micrometres, write {1e-3 * size[large]:g}"
+        )
+    return None
+
+
+def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | None:
+    """Sentence about a marker that lies beyond the end of the beam, with the likely unit, or None."""
+    furthest = max(positions_mm, default=0.0)
+    if furthest <= length_mm:
+        return None
+    likely = f"; if length_mm is in metres, write {1e3 * length_mm:g}" if furthest > 30.0 * length_mm else ""
+    return (
+        f"markers.positions_mm: a marker at {furthest:g} mm from the clamp lies beyond the end of the beam "
+        f"(beam.length_mm = {length_mm:g}){likely}"
+    )
+
+
+def _material(density_kg_m3: float | None, elastic_modulus_mpa: float | None) -> str | None:
+    if density_kg_m3 is not None and not TUNING.least_density <= density_kg_m3 <= TUNING.most_density:
+        unit, factor = ("g/cm3", 1e3) if density_kg_m3 < TUNING.least_density else ("g/m3", 1e-3)
+        return (
+            f"density_kg_m3 = {density_kg_m3:g} is that of no material of beams; if it is in {unit}, write "
+            f"{factor * density_kg_m3:g}"
+        )
+    if elastic_modulus_mpa is None:
+        return None
+    if elastic_modulus_mpa > TUNING.most_modulus:
+        return (
+            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material; if it is in Pa, write "
+            f"{1e-6 * elastic_modulus_mpa:g}"
+        )
+    dense = density_kg_m3 is not None and density_kg_m3 >= TUNING.dense
+    if elastic_modulus_mpa < (TUNING.softest_dense if dense else TUNING.least_modulus):
+        return (
+            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material"
+            f"{f' of {density_kg_m3:g} kg/m3' if dense else ''}; if it is in GPa, write {1e3 * elastic_modulus_mpa:g}"
+        )
+    return None
 
 
 def _file_name(value: object) -> str:
@@ -56,6 +176,11 @@ class LensConfig(Options):
     pictures: int | None = None
 
 
+def given_in(options: BaseModel) -> dict[str, Any]:
+    """Options that were given, without defaults."""
+    return {key: value for key, value in options if key in options.model_fields_set and value is not None}
+
+
 class CameraConfig(CameraOptions):
     """Camera: recorded rate, scale and exposure."""
 
@@ -65,6 +190,15 @@ class CameraConfig(CameraOptions):
         description="Lens distortion: name of a file written by `modalcam calibrate`, relative to the configuration.",
         examples=["camera.toml"],
     )
+
+
+def camera_given(values: dict[str, Any], prefix: str = "") -> CameraConfig:
+    """The options of the camera that are not None; ConfigError, its keys after `prefix`, if one cannot be used."""
+    try:
+        return CameraConfig(**{name: value for name, value in values.items() if value is not None})
+    except ValidationError as error:
+        msg = "; ".join(f"{prefix}{problem}" for problem in problems(error, CameraConfig))
+        raise ConfigError(msg) from None
 
 
 class MarkersConfig(MarkerOptions):
@@ -267,7 +401,7 @@ class RecordingConfig(MarkersConfig, CameraConfig, IdentifyOptions, _FileOptions
 
     def given(self) -> dict[str, Any]:
         """Options that were given for this recording, without defaults."""
-        return {key: value for key, value in self if key in self.model_fields_set and value is not None}
+        return given_in(self)
 
 
 class ExperimentConfig(Options):
@@ -310,8 +444,9 @@ class ExperimentConfig(Options):
         own = next((r for r in self.recordings if r.file == file), RecordingConfig(file=file))
         return RecordingConfig.model_validate({**dict(self.camera), **dict(self.markers), **own.given()})
 
-    def with_fps(self, fps: Fraction) -> ExperimentConfig:
-        """A copy with `fps` for every recording: the command line takes precedence over the file."""
-        recordings = tuple(r.model_copy(update={"fps": fps}) for r in self.recordings)
-        camera = self.camera.model_copy(update={"fps": fps})
+    def with_camera(self, options: CameraConfig) -> ExperimentConfig:
+        """A copy with what is given of the camera for every recording, in place of that in the file."""
+        given = given_in(options)
+        recordings = tuple(r.model_copy(update=given) for r in self.recordings)
+        camera = self.camera.model_copy(update=given)
         return self.model_copy(update={"camera": camera, "recordings": recordings})

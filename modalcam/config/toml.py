@@ -11,10 +11,9 @@ from typing import Any, TypeVar
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
+from modalcam.common import ConfigError, InputError, readable_bytes
 from modalcam.config.schema import ExperimentConfig, LensConfig, RecordingConfig
-from modalcam.errors import ConfigError, InputError
-from modalcam.files import readable_bytes
-from tracker.settings_base import problems
+from tracker import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modalcam.files import ARRAY_DAMAGE
+from modalcam.common import ARRAY_DAMAGE
 
 # Ends the note on an array, whose axes have no names.
 LONGER_AXIS = "the longer axis is time."

@@ -7,17 +7,21 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, Protocol
+from typing import Any
 
-from modalcam.config.reference import commented_toml, toml_value
-from modalcam.config.resolve import tracker_settings
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, load_config
-from modalcam.errors import InputError
-from modalcam.inputs.discover import Found, discover
-from modalcam.names import shown
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import ProbeReport, probe
+from modalcam.common import InputError, shown
+from modalcam.config import (
+    CONFIG_NAME,
+    ExperimentConfig,
+    RecordingConfig,
+    commented_toml,
+    load_config,
+    toml_value,
+    tracker_settings,
+)
+from modalcam.inputs.folder import Found, discover
+from tracker import Failure
+from tracker.video import ProbeReport, UnreadableVideoError, probe
 
 # Lengths of time steps that are listed; the others are counted.
 _STEPS_SHOWN = 3
@@ -107,14 +111,6 @@ class Probe:
     seen: SeenMarkers | None = None
 
 
-class Failure(Protocol):
-    """A call that gave no result; falsy."""
-
-    @property
-    def reason(self) -> str:
-        """Why."""
-
-
 # Calls a function with each task, for instance in other processes.
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
@@ -189,8 +185,8 @@ def _probe(task: tuple[Found, ExperimentConfig]) -> Probe:
 
 def _seen(path: Path, recording: RecordingConfig) -> SeenMarkers:
     # Workers only: readers and kernels take long to load.
-    from tracker.markers.base import NothingFound  # noqa: PLC0415
-    from tracker.track import find_markers  # noqa: PLC0415
+    from tracker import find_markers  # noqa: PLC0415
+    from tracker.markers import NothingFound  # noqa: PLC0415
 
     try:
         found = find_markers(path, tracker_settings(recording))

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modalcam.errors import InputError
+from modalcam.common import InputError, shown
 from modalcam.inputs.table import Table
-from modalcam.names import shown
-from tracker.flags import LOSSY, parse_flags
-from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
+from tracker import (
+    LOSSY,
+    TRACK_COLUMNS,
+    DecodeReport,
+    DisplacementSeries,
+    MarkerTracks,
+    Scale,
+    TimeAxis,
+    parse_flags,
+)
 
-MIN_SAMPLES = 8
-# A ratio of mm to px that varies by a larger share is more than a scale; files hold about nine digits.
-_PROPORTIONAL = 1e-5
-# Squares and products of values beyond these limits cannot be represented.
-_SMALLEST, _LARGEST = 1e-100, 1e100
-# Seconds from the first to the last sample: a few samples of a clock of picoseconds, and 30 000 years.
-_SHORTEST_S, _LONGEST_S = 1e-12, 1e12
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which numbers of a table are taken."""
+
+    #: [samples] a shorter series is refused
+    #: convention: More than the six unknowns of one mode with offset and drift.
+    least_samples: int = 8
+    #: [1] a ratio of mm to px that varies by a larger share is more than a scale
+    #: convention: Files hold about nine digits.
+    proportional: float = 1e-5
+    #: [1] a smaller largest value is refused
+    #: physics: Its square cannot be represented.
+    smallest: float = 1e-100
+    #: [1] a larger value is refused
+    #: physics: Products of squares cannot be represented.
+    largest: float = 1e100
+    #: [s] a shorter series is refused
+    #: physics: A few samples of a clock of picoseconds.
+    shortest: float = 1e-12
+    #: [s] a longer series is refused
+    #: physics: 30 000 years.
+    longest: float = 1e12
+
+
+TUNING = Tuning()
 _CLOCK_NOTE = (
     "The times are those of the tracks file, whose time axis has no record of its source: if the footage was tracked "
     "without its recorded rate, every frequency is wrong by the same factor."
@@ -27,7 +55,7 @@ _CLOCK_NOTE = (
 
 def is_tracks(table: Table) -> bool:
     """Whether the table was written by the tracker."""
-    return set(TRACK_COLUMNS) <= set(table.columns.columns)
+    return {column.name for column in TRACK_COLUMNS} <= set(table.columns.columns)
 
 
 def series_from_table(
@@ -97,7 +125,7 @@ def tracks_from_table(
     """
     table = read.columns
     if not len(table):
-        msg = f"{name}: expected at least {MIN_SAMPLES} frames, found none"
+        msg = f"{name}: expected at least {TUNING.least_samples} frames, found none"
         raise InputError(msg)
     markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
     n, m = len(table) // max(len(markers), 1), len(markers)
@@ -122,7 +150,7 @@ def tracks_from_table(
     known = ratio[np.isfinite(ratio)]
     scale = Scale(float(np.median(known)), float("nan"), "tracks file") if known.size else None
     columns = {c: grid(c) for c in ("x_px", "y_px", "sd_x_px", "sd_y_px")}
-    if known.size and float(np.ptp(known)) > _PROPORTIONAL * abs(float(np.median(known))):
+    if known.size and float(np.ptp(known)) > TUNING.proportional * abs(float(np.median(known))):
         # A lens or an oblique view was corrected: the mm of the file are kept, as pixels of a millimetre, y down.
         scale = Scale(1.0, float("nan"), "tracks file, rectified")
         columns = {c: grid(c.replace("px", "mm")) for c in columns}
@@ -159,8 +187,8 @@ def tracks_from_table(
 def check_size(values: NDArray[np.float64], name: str) -> None:
     """InputError for values so large or small that a computation with them overflows; NaN and 0 pass."""
     largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
-    if largest and not _SMALLEST < largest < _LARGEST:
-        limits = f"{_SMALLEST:g} and {_LARGEST:g}"
+    if largest and not TUNING.smallest < largest < TUNING.largest:
+        limits = f"{TUNING.smallest:g} and {TUNING.largest:g}"
         msg = f"{name}: expected values between {limits} in size, found {largest:g}; change the unit"
         raise InputError(msg)
 
@@ -175,8 +203,8 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]
 
 def check_time(time_s: NDArray[np.float64], name: str) -> None:
     """InputError for too few samples, and for times that do not increase or are not in seconds."""
-    if time_s.size < MIN_SAMPLES:
-        msg = f"{name}: expected at least {MIN_SAMPLES} samples, found {time_s.size}"
+    if time_s.size < TUNING.least_samples:
+        msg = f"{name}: expected at least {TUNING.least_samples} samples, found {time_s.size}"
         raise InputError(msg)
     steps = np.diff(time_s)
     if np.any(steps <= 0.0):
@@ -187,6 +215,6 @@ def check_time(time_s: NDArray[np.float64], name: str) -> None:
         )
         raise InputError(msg)
     span_s = float(time_s[-1] - time_s[0])
-    if not _SHORTEST_S <= span_s <= _LONGEST_S:
+    if not TUNING.shortest <= span_s <= TUNING.longest:
         msg = f"{name}: expected time_s in seconds, found a record of {span_s:.3g} s; change the unit of the times"
         raise InputError(msg)

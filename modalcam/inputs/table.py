@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from modalcam.errors import InputError
-from modalcam.files import readable_bytes
+from modalcam.common import InputError, readable_bytes, shown
 from modalcam.inputs.array_files import LONGER_AXIS, read_mat, read_npy
 from modalcam.inputs.text_table import read_lvm, read_text
-from modalcam.names import shown
 
 MAX_BYTES = 2_000_000_000
 TIME = "time_s"

@@ -7,13 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.errors import InputError
-from modalcam.files import readable_bytes
-from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size, check_time
+from modalcam.common import InputError, readable_bytes, shown
+from modalcam.inputs.series import TUNING, channel_positions, check_size, check_time
 from modalcam.inputs.table import MAX_BYTES
-from modalcam.names import shown
-from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from tracker import DisplacementSeries, FloatArray
 
 ENDINGS = (".uff", ".unv", ".u58", ".uf")
 _TIME_RESPONSE, _UNKNOWN_FUNCTION = 1, 0
@@ -101,8 +98,8 @@ def _names(responses: list[dict[str, Any]]) -> tuple[str, ...]:
 
 def _samples(dataset: dict[str, Any], where: str) -> tuple[FloatArray, FloatArray]:
     time_s, values = np.asarray(dataset["x"], dtype=float), np.asarray(dataset["data"], dtype=float)
-    if time_s.shape != values.shape or time_s.size < MIN_SAMPLES:
-        msg = f"{where}: expected at least {MIN_SAMPLES} samples a channel, found {values.size}"
+    if time_s.shape != values.shape or time_s.size < TUNING.least_samples:
+        msg = f"{where}: expected at least {TUNING.least_samples} samples a channel, found {values.size}"
         raise InputError(msg)
     if not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0.0):
         msg = f"{where}: expected times that increase, found a time response whose times do not"

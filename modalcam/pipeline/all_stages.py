@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from modal_id.results import FailedIdentification
-from modalcam.config.toml import dump_config
+from modalcam.config import dump_config
+from modalcam.pipeline.beam import beam_theory, update_beam
 from modalcam.pipeline.compare import compare_recordings
 from modalcam.pipeline.identify import identify_recordings
+from modalcam.pipeline.output_folder import RunRecord, Source
+from modalcam.pipeline.provenance import processor, versions
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.stage import Context
 from modalcam.pipeline.track import track_recordings, with_displacement
-from modalcam.pipeline.update import beam_theory, update_beam
-from modalcam.storage.output_folder import RunRecord, Source
-from modalcam.storage.provenance import processor, versions
-from sim.beam.modes import BeamModes
-from tracker.results import FailedTracking
+from sim.beam import BeamModes
+from tracker import FailedTracking, Failure
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,6 @@ def _unsaved_failure(context: Context, recording: RecordingResult) -> str:
     saved = context.results.get(recording.name, {})
     if isinstance(recording.tracks, FailedTracking):
         return "" if "tracks" in saved else recording.tracks.reason
-    if isinstance(recording.identification, FailedIdentification) and recording.series is not None:
+    if isinstance(recording.identification, Failure) and recording.series is not None:
         return "" if "modes" in saved else recording.identification.reason
     return ""

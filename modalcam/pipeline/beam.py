@@ -1,19 +1,31 @@
-"""The beam of the run: theory before anything is measured, updating and damping models after it."""
+"""Stages of the beam: theory before anything is measured, updating and damping models after it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from modalcam.pipeline.combined_modes import MeasuredMode
-from modalcam.pipeline.results import BeamResult
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes, beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from modalcam.common import ConfigError
+from modalcam.config import beam_properties, updating_settings
+from modalcam.pipeline.added import added_stages
+from modalcam.pipeline.identify import MeasuredMode, measured_modes
+from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
+from modalcam.pipeline.stage import Context, Stage, run_together
+from sim.beam import AncfBeam, BeamModes, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison import Candidate
 from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
-from sim.updating import FailedUpdating, MeasuredModes, Method, UpdatePart, UpdatingSettings, all_updates
-from tracker.arrays import FloatArray
+from sim.updating import (
+    METHODS,
+    MeasuredModes,
+    Method,
+    UpdatePart,
+    UpdatingSettings,
+    all_updates,
+    update_by,
+)
+from tracker import Failure, FloatArray
 
 # The paper identifies five modes; a few more are needed to number other modes that are excited.
 THEORY_MODES = 8
@@ -61,7 +73,7 @@ def updated_beam(
     if len(usable) > 1:
         rayleigh = rayleigh_from(measured_damping(usable, modes))
         alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
-    if isinstance(found, FailedUpdating):
+    if isinstance(found, Failure):
         note = f"The beam was not updated: {found.reason}"
         return BeamResult(properties, modes, None, None, alpha, beta, note)
     after = beam_modes(AncfBeam(found.properties), min(modes.count, 2 * found.properties.elements))
@@ -103,3 +115,80 @@ def generic_damping(properties: BeamProperties, measured: MeasuredDamping) -> Ge
 def _omega_rad_s(properties: BeamProperties, measured: MeasuredDamping) -> FloatArray:
     """Angular frequencies of the beam's modes up to the highest measured one."""
     return beam_modes(AncfBeam(properties), max(measured.numbers)).omega_rad_s
+
+
+THEORY: Stage[BeamModes | str] = Stage(
+    "theory of the beam",
+    "theory",
+    ("sim", "modalcam.pipeline.beam"),
+    theory,
+    lambda _, reason: f"The modes of the beam were not computed: {reason}.",
+)
+
+
+def beam_theory(context: Context) -> BeamModes | str:
+    """Modes of the configured beam, or a sentence that says why there are none; ConfigError for impossible values."""
+    config = context.config
+    try:
+        properties = beam_properties(config.beam)
+    except ValueError as error:
+        msg = f"[beam]: {error}"
+        raise ConfigError(msg) from error
+    if isinstance(properties, str):
+        return properties
+    highest = max((r.mode for r in config.recordings if r.mode is not None), default=1)
+    return THEORY.once(context, properties=properties, highest_mode=highest)
+
+
+_CODE = ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.results")
+UPDATES: Stage[UpdatePart] = Stage(
+    "updating the beam", "updates", _CODE, update_by, lambda _, reason: Failure(f"{reason}.")
+)
+UPDATING: Stage[BeamResult | Failure] = Stage(
+    "modes of the updated beam", "updating", _CODE, updated_beam, lambda _, reason: Failure(reason)
+)
+
+
+def update_beam(
+    context: Context, recordings: Sequence[RecordingResult], theory_modes: BeamModes | str
+) -> tuple[BeamResult | None, tuple[str, ...], list[RecordingResult]]:
+    """Match the beam to all measured modes; returns the recordings last, with the results of stages added beside.
+
+    Sentences name what could not be done, the theory of the beam included; without it no added stage runs.
+    """
+    recordings = list(recordings)
+    if isinstance(theory_modes, str):
+        return None, (theory_modes,), recordings
+    properties, settings = theory_modes.beam.properties, updating_settings(context.config.updating)
+    usable = usable_modes(measured_modes(recordings), theory_modes)
+    methods: dict[str, dict[str, Any]] = {}
+    if usable:
+        common = {
+            "properties": properties,
+            "measured": modes_to_match(usable),
+            "settings": settings,
+            "modes": theory_modes.count,
+            "seed": context.seed,
+        }
+        methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
+    added = [
+        (
+            one.stage,
+            {r.name: given for r in recordings if (given := one.inputs(context, r, None)) is not None},
+        )
+        for one in added_stages("updating")
+    ]
+    found, *others = run_together(context, (UPDATES, methods), *added)
+    for (stage, _), results in zip(added, others, strict=True):
+        recordings = stage.filled(recordings, results)
+    result = UPDATING.once(
+        context,
+        properties=properties,
+        modes=theory_modes,
+        usable=usable,
+        settings=settings,
+        parts={name.rpartition(".")[2]: part for name, part in found.items()},
+    )
+    if isinstance(result, Failure):
+        return None, (f"The beam was not updated: {result.reason}.",), recordings
+    return result, (result.note,) if result.note else (), recordings

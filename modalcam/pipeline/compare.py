@@ -1,26 +1,32 @@
-"""Stages of the comparison: the decay of each recording, simulated with the updated beam, and filmed as recorded."""
+"""Stage of the comparison: each decay simulated with the updated beam, and scores of the models over all."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from modal_id.results import Identification
-from modalcam.config.resolve import random_words
-from modalcam.config.schema import AirConfig, RecordingConfig
+from modal_id import Identification
+from modalcam.config import AirConfig
+from modalcam.pipeline.added import AddedStage, UpdatedBeam, added_stages
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
-from modalcam.pipeline.combined_modes import measured_modes
+from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, each_together
-from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from sim.beam.properties import BeamProperties
-from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay, obstacle
+from sim.beam import BeamProperties
+from sim.comparison import (
+    AirDrag,
+    DecayComparison,
+    ModelDecay,
+    ScoreSum,
+    bands,
+    compare_decay,
+)
 from sim.damping import MeasuredDamping, skipped_damping_models
-from tracker.results import MarkerTracks
+from tracker import Failure
 
 
 def compare_models(
@@ -30,10 +36,10 @@ def compare_models(
     models: tuple[str, ...],
     damping: MeasuredDamping,
     air: AirConfig,
-) -> DecayComparison | FailedComparison:
+) -> DecayComparison | Failure:
     """Measured decay against each damping model, from the fitted state at the onset; `beams` are posterior draws."""
     # Workers only: the main process would hold the libraries of the fit beside all results.
-    from modal_id.identify import fit_free_decay  # noqa: PLC0415
+    from modal_id import fit_free_decay  # noqa: PLC0415
 
     drag = None
     if air.drag_coefficient != 0.0:
@@ -55,47 +61,14 @@ COMPARING = Stage(
     "comparison",
     ("sim", "modal_id", "modalcam.pipeline.beam", "modalcam.pipeline.compare", "modalcam.config.resolve"),
     compare_models,
-    FailedComparison,
-)
-
-
-def film(
-    frames: KeptFrames,
-    tracks: MarkerTracks,
-    identification: Identification,
-    properties: BeamProperties,
-    damping: MeasuredDamping,
-    recording: RecordingConfig,
-    seed: tuple[int, ...],
-) -> SimulatedFootage | NoFootage:
-    """The kept frames as the camera would have seen the updated beam under generic damping."""
-    from modalcam.video.simulated_footage import film_simulation  # noqa: PLC0415 - workers only, as above
-
-    return film_simulation(
-        frames,
-        tracks,
-        identification,
-        recording,
-        properties,
-        generic_damping(properties, damping),
-        highest_mode=max(damping.numbers),
-        rng=np.random.default_rng(seed),
-    )
-
-
-FILMING = Stage(
-    "filming the simulation",
-    "simulated",
-    ("sim", "tracker", "modalcam.video", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
-    film,
-    NoFootage,
+    lambda name, reason: Failure(reason, name),
 )
 
 
 def compare_recordings(
     context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
 ) -> tuple[list[RecordingResult], tuple[str, ...]]:
-    """Compare each identified recording with simulations of the updated beam, and film it where that succeeds.
+    """Compare each identified recording with simulations of the updated beam; added stages run beside.
 
     Sentences name skipped models.
     """
@@ -105,7 +78,7 @@ def compare_recordings(
     measured = measured_damping(measured_modes(recordings), beam.standard_modes)
     common = {
         "properties": properties,
-        "beams": draws.draws(min(BAND_DRAWS, len(draws.log_factor_draws))),
+        "beams": draws.draws(min(bands.TUNING.draws, len(draws.log_factor_draws))),
         "models": context.config.damping.models,
         "damping": measured,
         "air": context.config.air,
@@ -115,27 +88,72 @@ def compare_recordings(
         found = recording.identified
         return {"identification": found, **common} if found is not None and found.modes else None
 
-    def filmed(recording: RecordingResult) -> Mapping[str, Any] | None:
-        found, frames = recording.identified, recording.kept_frames
-        if found is None or not isinstance(frames, KeptFrames):
-            return None
-        if obstacle(properties, found, max(measured.numbers)):
-            return None
-        return {
-            "frames": frames,
-            "tracks": recording.tracks,
-            "identification": found,
-            "properties": properties,
-            "damping": measured,
-            "recording": context.config.for_recording(recording.file),
-            "seed": (context.seed, *random_words(recording.sha256)),
-        }
-
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
-    found = each_together(context, recordings, (COMPARING, compared), (FILMING, filmed))
+    added = added_stages("simulating")
+    parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]
+    found = each_together(context, recordings, (COMPARING, compared), *parts)
+    dropped = {one.stage.file for one in added}
     for recording in found:
         if not isinstance(recording.comparison, DecayComparison):
-            context.results.get(recording.name, {}).pop(FILMING.file, None)
+            for file in dropped:
+                context.results.get(recording.name, {}).pop(file, None)
     return [
-        r if isinstance(r.comparison, DecayComparison) else replace(r, simulated_footage=None) for r in found
+        r
+        if isinstance(r.comparison, DecayComparison)
+        else replace(r, added={file: value for file, value in r.added.items() if file not in dropped})
+        for r in found
     ], skipped
+
+
+def _inputs(
+    added: AddedStage, context: Context, beam: UpdatedBeam, recording: RecordingResult
+) -> Mapping[str, Any] | None:
+    return added.inputs(context, recording, beam)
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """Scores of one damping model over the recordings with which it was compared.
+
+    `log_density` and `crps` are sums over all samples, the CRPS in the unit of the comparisons; their gains say by how
+    much the first model scores better on the same recordings. `coverage` is the share of the samples inside the 90 %
+    predictive band.
+    """
+
+    model: str
+    recordings: tuple[str, ...]
+    log_density: ScoreSum
+    crps: ScoreSum
+    log_density_gain: ScoreSum
+    crps_gain: ScoreSum
+    coverage: float
+
+
+def compared(recordings: Iterable[RecordingResult]) -> tuple[tuple[str, DecayComparison], ...]:
+    """Comparisons with the names of their recordings."""
+    return tuple((r.name, r.comparison) for r in recordings if isinstance(r.comparison, DecayComparison))
+
+
+def model_scores(recordings: Iterable[RecordingResult]) -> tuple[ModelScore, ...]:
+    """Scores of every model; the others are compared with the first."""
+    decays: dict[str, list[tuple[str, ModelDecay]]] = {}
+    for name, comparison in compared(recordings):
+        for decay in comparison.models:
+            decays.setdefault(decay.model, []).append((name, decay))
+    return tuple(_score(model, found) for model, found in decays.items())
+
+
+def _score(model: str, found: list[tuple[str, ModelDecay]]) -> ModelScore:
+    only = [decay for _, decay in found]
+    samples = np.array([decay.log_density.samples for decay in only], dtype=np.float64)
+    inside = float(np.array([decay.coverage for decay in only]) @ samples)
+    nothing = ScoreSum(0.0, 0.0, 0)
+    return ModelScore(
+        model=model,
+        recordings=tuple(name for name, _ in found),
+        log_density=sum((d.log_density for d in only), nothing),
+        crps=sum((d.crps for d in only), nothing),
+        log_density_gain=sum((d.log_density_gain for d in only), nothing),
+        crps_gain=sum((d.crps_gain for d in only), nothing),
+        coverage=inside / float(samples.sum()) if samples.sum() else float("nan"),
+    )

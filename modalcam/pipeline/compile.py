@@ -15,7 +15,7 @@ from typing import Any
 import numba
 from filelock import FileLock
 
-from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context
 
@@ -44,12 +44,12 @@ MARKERS = Group(
     (
         "tracker.register.kernel:make_workspace",
         "tracker.register.kernel:register",
-        "tracker.register.acceptance:correlation",
-        "tracker.register.acceptance:acceptable",
-        "tracker.template.learned:_add_frame",
-        "tracker.template.learned:_solve",
-        "tracker.template.spline_kernels:placed",
-        "tracker.template.spline_kernels:_fill_modelled",
+        "tracker.register.kernel:correlation",
+        "tracker.register.kernel:acceptable",
+        "tracker.template.template:_add_frame",
+        "tracker.template.template:_solve",
+        "tracker.template.spline:placed",
+        "tracker.template.spline:_fill_modelled",
         "tracker.follow.batch:follow_plain",
         "tracker.follow.batch:all_plain",
         "tracker.follow.batch:store_fits",
@@ -61,23 +61,23 @@ MARKERS = Group(
 LINES = Group(
     "tracker.compile:compile_for_lines",
     (
-        "tracker.line.path:best_path",
-        "tracker.line.line_kernels:place_stations",
+        "tracker.line.follower:best_path",
+        "tracker.line.stations:place_stations",
         "tracker.line.profile:add_to_profile",
         "tracker.line.kernel:polynomials_of",
         "tracker.line.kernel:register_line",
-        "tracker.line.line_kernels:weighted",
-        "tracker.line.line_kernels:at_stations",
-        "tracker.line.line_kernels:register_about",
-        "tracker.line.line_kernels:moved",
-        "tracker.line.line_kernels:judge_predictions",
-        "tracker.line.line_kernels:learn_recursion",
-        "tracker.line.line_kernels:path_along_normals",
-        "tracker.line.background:_add",
+        "tracker.line.stations:weighted",
+        "tracker.line.stations:at_stations",
+        "tracker.line.stations:register_about",
+        "tracker.line.stations:moved",
+        "tracker.line.stations:judge_predictions",
+        "tracker.line.stations:learn_recursion",
+        "tracker.line.stations:path_along_normals",
+        "tracker.line.model:_add",
     ),
 )
 SIMULATION = Group(
-    "sim.compile:compile_for_simulations", ("sim.beam.ancf_kernels:elastic", "sim.dynamics.march:march")
+    "sim.compile:compile_for_simulations", ("sim.beam.ancf:elastic", "sim.dynamics.march:march")
 )
 DECAYS = Group(
     "modal_id.compile:compile_for_decays",

@@ -5,31 +5,27 @@ The classes of the single results are imported when they are needed only: a run 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from modalcam.names import csv_safe, shown
+from modalcam.common import csv_safe, shown
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from modal_id.results import FailedIdentification, Identification
-    from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-    from sim.beam.modes import BeamModes
-    from sim.beam.properties import BeamProperties
-    from sim.comparison import DecayComparison, FailedComparison
+    from modal_id import Identification
+    from sim.beam import BeamModes, BeamProperties
+    from sim.comparison import DecayComparison
     from sim.updating import Updating
-    from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
+    from tracker import DisplacementSeries, FailedTracking, Failure, MarkerTracks
 
-# Name of each stage's file and the field of a recording that its result fills.
+# Name of the file of each stage of the core and the field of a recording that its result fills.
 STAGE_FIELDS = {
     "tracks": "tracks",
     "modes": "identification",
-    "frames": "kept_frames",
     "comparison": "comparison",
-    "simulated": "simulated_footage",
 }
 # Name of the saved results of a run as a whole; names of recordings never begin with a dot.
 RUN = ".beam"
@@ -49,8 +45,10 @@ class RecordingResult:
         Of the file's bytes; empty if it could not be read.
     mode : int or None
         The mode that was excited, as configured.
-    tracks, series, identification, comparison, kept_frames, simulated_footage :
+    tracks, series, identification, comparison :
         Results of the stages; a failure is a falsy value with its reason.
+    added : mapping of str to result
+        Those of the stages that apps and plugins add, by the name of the stage's file.
     path : Path or None
         Where the recording is; None for a series, and for a result read from OUT.
     """
@@ -61,10 +59,9 @@ class RecordingResult:
     mode: int | None
     tracks: MarkerTracks | FailedTracking | None = None
     series: DisplacementSeries | None = None
-    identification: Identification | FailedIdentification | None = None
-    comparison: DecayComparison | FailedComparison | None = None
-    kept_frames: KeptFrames | NoFootage | None = None
-    simulated_footage: SimulatedFootage | NoFootage | None = None
+    identification: Identification | Failure | None = None
+    comparison: DecayComparison | Failure | None = None
+    added: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = field(default=None, compare=False)
 
     @property
@@ -78,7 +75,7 @@ class RecordingResult:
         if self.tracks is not None and not self.tracks:
             return cast("FailedTracking", self.tracks).reason
         if self.identification is not None and not self.identification:
-            return cast("FailedIdentification", self.identification).reason
+            return cast("Failure", self.identification).reason
         found = self.identified
         if found is not None and not found.motions:
             return "; ".join(mode.reason for mode in found.failed) or "no mode was found"
@@ -181,9 +178,9 @@ def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
     """Identified modes of recordings with the columns of `modes.csv`; `mode` is empty where its number is unknown."""
     import pandas as pd  # noqa: PLC0415 - loaded when used
 
-    from modal_id.results import MODE_COLUMNS  # noqa: PLC0415 - loaded when used
+    from modal_id import MODE_COLUMNS  # noqa: PLC0415 - loaded when used
 
-    columns = ["recording", *MODE_COLUMNS]
+    columns = ["recording", *(column.name for column in MODE_COLUMNS)]
     frames = [pd.DataFrame(columns=pd.Index(columns))]
     for recording in recordings:
         found = recording.identified

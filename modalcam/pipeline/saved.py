@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from modalcam.config.toml import dump_config
-from modalcam.errors import InputError
+from modalcam.common import InputError
+from modalcam.config import dump_config
+from modalcam.pipeline.added import ADDED_STAGES, added_stages
+from modalcam.pipeline.cache import load
+from modalcam.pipeline.output_folder import RunRecord, Source, Workspace
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult, RunResult
 from modalcam.plugins import load_plugins
-from modalcam.storage.cache import load
-from modalcam.storage.output_folder import RunRecord, Source, Workspace
 
-# Results that `simulate` starts from.
-MEASURED = ("tracks", "modes", "frames")
+
+def measured_files() -> tuple[str, ...]:
+    """Results that `simulate` starts from."""
+    return ("tracks", "modes", *(added.stage.file for added in added_stages("updating")))
 
 
 def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
@@ -56,23 +60,31 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
 
 
 def load_recording(
-    workspace: Workspace, record: RunRecord, source: Source, files: tuple[str, ...] = tuple(STAGE_FIELDS)
+    workspace: Workspace, record: RunRecord, source: Source, files: Iterable[str] | None = None
 ) -> RecordingResult:
-    """One recording with those of its saved results that are in `files`; InputError if one cannot be read."""
-    from modal_id.results import FailedIdentification, Identification  # noqa: PLC0415 - heavy
+    """One recording with its saved results, or those in `files`; InputError if one cannot be read."""
+    from modal_id import Identification  # noqa: PLC0415 - heavy
     from modalcam.pipeline.track import with_displacement  # noqa: PLC0415
-    from tracker.results import FailedTracking, MarkerTracks  # noqa: PLC0415
+    from tracker import FailedTracking, Failure, MarkerTracks  # noqa: PLC0415
 
-    found = {STAGE_FIELDS[name]: _result(workspace, record, source.name, name) for name in files}
+    if files is None:
+        files = (*STAGE_FIELDS, *ADDED_STAGES)
+    found: dict[str, Any] = {"tracks": None, "identification": None, "added": {}}
+    for file in files:
+        result = _result(workspace, record, source.name, file)
+        if file in STAGE_FIELDS:
+            found[STAGE_FIELDS[file]] = result
+        elif result is not None:
+            found["added"][file] = result
     if source.failure and found["tracks"] is None:
-        found["tracks"] = FailedTracking(source.file, source.failure)
+        found["tracks"] = FailedTracking(source.failure, source.file)
     identification = found.pop("identification")
     recording = RecordingResult(source.name, source.file, source.sha256, source.mode, **found)
     if isinstance(identification, Identification):
         return replace(recording, series=identification.series, identification=identification)
     recording = with_displacement(recording)
     if identification is None and source.failure and isinstance(recording.tracks, MarkerTracks):
-        identification = FailedIdentification(source.name, source.failure)
+        identification = Failure(source.failure, source.name)
     return recording if identification is None else replace(recording, identification=identification)
 
 

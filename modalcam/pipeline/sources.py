@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from modalcam.execution.pool import TaskFailure
-from modalcam.names import shown
+from modalcam.common import shown
+from modalcam.pipeline.pool import TaskFailure
+from modalcam.pipeline.provenance import RememberedHashes, recording_sha256
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context
-from modalcam.storage.provenance import RememberedHashes, recording_sha256
-from tracker.results import FailedTracking
+from tracker import FailedTracking
 
 
 def hashed(
@@ -40,7 +40,7 @@ def hashed(
     def with_hash(recording: RecordingResult) -> RecordingResult:
         value = found.get(recording.path, "")
         if isinstance(value, TaskFailure):
-            return replace(recording, tracks=FailedTracking(recording.file, value.reason))
+            return replace(recording, tracks=FailedTracking(value.reason, recording.file))
         return replace(recording, sha256=value)
 
     return [with_hash(recording) for recording in recordings]

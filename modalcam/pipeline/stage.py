@@ -8,15 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.errors import InputError
-from modalcam.execution.frame_count import FrameCount
-from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
+from modalcam.common import InputError
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline.atomic import temporary_name
+from modalcam.pipeline.cache import load, save
+from modalcam.pipeline.frame_count import FrameCount
+from modalcam.pipeline.output_folder import Workspace
+from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.provenance import code_state, stage_key
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
-from modalcam.storage.atomic import temporary_name
-from modalcam.storage.cache import load, save
-from modalcam.storage.output_folder import Workspace
-from modalcam.storage.provenance import code_state, stage_key
 
 Result = TypeVar("Result")
 
@@ -85,8 +85,17 @@ class Stage(Generic[Result]):
         self, recordings: Iterable[RecordingResult], results: Mapping[str, Any]
     ) -> list[RecordingResult]:
         """The recordings with the results of this stage that are given by name."""
-        new: dict[str, Any] = {name: {STAGE_FIELDS[self.file]: value} for name, value in results.items()}
-        return [replace(r, **new.get(r.name, {})) for r in recordings]
+        key = STAGE_FIELDS.get(self.file)
+
+        def fill(recording: RecordingResult) -> RecordingResult:
+            if recording.name not in results:
+                return recording
+            value = results[recording.name]
+            if key is None:
+                return replace(recording, added={**recording.added, self.file: value})
+            return replace(recording, **{key: value})
+
+        return [fill(recording) for recording in recordings]
 
     def prepared(
         self, context: Context, inputs: Mapping[str, Mapping[str, Any]], reused: Callable[..., None]

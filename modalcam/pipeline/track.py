@@ -1,4 +1,4 @@
-"""Stages that read a recording: its marker tracks, their displacement, and a few frames kept for the report."""
+"""Stages that read a recording: its marker tracks, and their displacement."""
 
 from __future__ import annotations
 
@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modal_id.results import FailedIdentification, Identification
-from modalcam.config.resolve import tracker_settings
+from modalcam.config import tracker_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
-from modalcam.video.results import KeptFrames, NoFootage
-from tracker.displacement import displacement_series
-from tracker.results import FailedTracking, MarkerTracks
+from tracker import FailedTracking, Failure, MarkerTracks, displacement_series
 
 if TYPE_CHECKING:
-    from tracker.follow.follow_recording import Progress
-    from tracker.settings import TrackerSettings
+    from tracker import TrackerSettings
+    from tracker.follow import Progress
 
 
 def track_recording(
@@ -27,22 +24,24 @@ def track_recording(
 ) -> MarkerTracks | FailedTracking:
     """As `tracker.track.track`."""
     # Workers only: readers and kernels take longer to load than a report takes to write.
-    from tracker.track import track  # noqa: PLC0415
+    from tracker import track  # noqa: PLC0415
 
     return track(path, settings, recording=recording, progress=progress)
 
 
-def keep_recorded(
-    path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
-) -> KeptFrames | NoFootage:
-    """As `modalcam.video.kept_frames.read_kept_frames`."""
-    from modalcam.video.kept_frames import read_kept_frames  # noqa: PLC0415 - as above
-
-    return read_kept_frames(path, tracks, found, size_mm)
+def not_tracked(file: str, reason: str) -> FailedTracking:
+    """Failure of this stage."""
+    return FailedTracking(reason, file)
 
 
-TRACKING = Stage("tracking", "tracks", ("tracker",), track_recording, FailedTracking, counts_frames=True)
-KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), keep_recorded, NoFootage)
+TRACKING = Stage(
+    "tracking",
+    "tracks",
+    ("tracker",),
+    track_recording,
+    not_tracked,
+    counts_frames=True,
+)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
@@ -54,7 +53,7 @@ def track_recordings(context: Context, recordings: Sequence[RecordingResult]) ->
         try:
             settings = tracker_settings(context.config.for_recording(recording.file))
         except ValueError as error:
-            return FailedTracking(recording.file, f"the configuration cannot be used: {error}")
+            return FailedTracking(f"the configuration cannot be used: {error}", recording.file)
         source = InputFile(recording.path, recording.sha256)
         return {"path": source, "recording": recording.file, "settings": settings}
 
@@ -72,18 +71,4 @@ def with_displacement(recording: RecordingResult) -> RecordingResult:
             return replace(recording, series=displacement_series(tracks))
         except ValueError as error:
             reason = str(error)
-    return replace(recording, identification=FailedIdentification(tracks.recording, reason))
-
-
-def frames_to_keep(context: Context, recordings: Sequence[RecordingResult]) -> dict[str, Mapping[str, Any]]:
-    """Inputs of `KEEPING` for each identified recording."""
-
-    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
-        tracks, found = recording.tracks, recording.identified
-        if recording.path is None or found is None or not found.modes or not isinstance(tracks, MarkerTracks):
-            return None
-        size_mm = context.config.for_recording(recording.file).size_mm
-        source = InputFile(recording.path, recording.sha256)
-        return {"path": source, "tracks": tracks, "found": found, "size_mm": size_mm}
-
-    return {r.name: given for r in recordings if (given := inputs(r)) is not None}
+    return replace(recording, identification=Failure(reason, tracks.recording))

@@ -1,4 +1,4 @@
-"""The report's HTML from the result of a run."""
+"""The report's HTML from the result of a run, and its figures, drawn in the run's worker processes."""
 
 from __future__ import annotations
 
@@ -6,28 +6,49 @@ import base64
 import hashlib
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import Any, Literal
 
-from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.model_scores import compared, model_scores
-from modalcam.pipeline.results import RunResult
-from modalcam.pipeline.uncertainty import budgets
-from modalcam.report.figures.base import FigureKind, Place, RecordingSubject
-from modalcam.report.figures.registry import figures_of, shown_in
-from modalcam.report.sections.alerts import MOST_PLACES, R_HAT_LIMIT, alerts, flag_meanings
-from modalcam.report.sections.comparison import findings, worst_ratios
-from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
-from modalcam.report.sections.recording import detail_for, recording_view
-from modalcam.report.sections.updating import updating_numbers, updating_rows
-from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.safe_text import trusted, unbroken
-from modalcam.storage.cache import Cache
-from sim.beam.modes import BeamModes
+import jinja2
+
+from modalcam.pipeline import (
+    Cache,
+    Progress,
+    RunResult,
+    WorkerPool,
+    budgets,
+    compared,
+    measured_modes,
+    model_scores,
+)
+from modalcam.report.figures import (
+    FIGURES,
+    RECORDING_PLACES,
+    RUN_PLACES,
+    FigureKind,
+    RecordingSubject,
+    figures_of,
+    shown_in,
+)
+from modalcam.report.sections import (
+    MOST_PLACES,
+    SECTIONS,
+    TUNING,
+    alerts,
+    detail_for,
+    findings,
+    flag_meanings,
+    recording_view,
+    updating_numbers,
+    updating_rows,
+    worst_ratios,
+)
+from modalcam.report.style import environment, style_sheet, trusted, unbroken
+from sim.beam import BeamModes
 
 Plots = Literal["interactive", "static"]
-_RECORDING_PLACES: tuple[Place, ...] = ("recording", "tracking")
-_RUN_PLACES: tuple[Place, ...] = ("damping", "comparison", "updating")
 # Modes up to which their values stand beside the first figure, too.
 _LISTED_FIRST = 6
 
@@ -98,11 +119,23 @@ def build_report(
         "terms": report_terms(),
         "flag_meanings": {name: text for name, text in flag_meanings().items() if name not in explained},
         "explained": sorted(explained),
-        "r_hat_limit": R_HAT_LIMIT,
-        "shown_per_s": SHOWN_PER_S,
-        "close_up_px": CLOSE_UP_SHOWN_PX,
+        "r_hat_limit": TUNING.r_hat,
+        "sections": list(SECTIONS.values()),
     }
-    return unbroken(environment().get_template("report.html.j2").render(page))
+    return unbroken(_templates().get_template("report.html.j2").render(page))
+
+
+def _templates() -> jinja2.Environment:
+    """Templates of the report and of the sections that are added."""
+    return environment(*dict.fromkeys((section.package, "templates") for section in SECTIONS.values()))
+
+
+def compiled_templates() -> Iterator[str]:
+    """Compile one template of the report after the other, which takes a third of a second for all."""
+    templates = _templates()
+    for name in templates.list_templates(filter_func=lambda name: name.endswith((".j2", ".css"))):
+        templates.get_template(name)
+        yield name
 
 
 def shown_figures(result: RunResult) -> Iterator[tuple[FigureKind[Any], Any]]:
@@ -110,10 +143,8 @@ def shown_figures(result: RunResult) -> Iterator[tuple[FigureKind[Any], Any]]:
     detail, theory = detail_for(len(result.recordings)), _theory(result)
     for recording in result.recordings if detail.figures else ():
         subject = RecordingSubject(recording, theory, detail.strips)
-        for place in _RECORDING_PLACES:
-            yield from shown_in(place, subject, only_essential=not detail.diagnostics)
-    for place in _RUN_PLACES:
-        yield from shown_in(place, result)
+        yield from shown_in(RECORDING_PLACES, subject, only_essential=not detail.diagnostics)
+    yield from shown_in(RUN_PLACES, result)
 
 
 def _theory(result: RunResult) -> BeamModes | None:
@@ -134,3 +165,44 @@ def _readings(views: Iterable[dict[str, Any]]) -> dict[str, tuple[str, str]]:
 def report_terms() -> dict[str, dict[str, str]]:
     """Name and text of each term of the report's glossary and of docs/glossary.md."""
     return tomllib.loads(resources.files("modalcam.report").joinpath("glossary.toml").read_text("utf-8"))
+
+
+@dataclass(frozen=True)
+class _Task:
+    kind: str
+    shown: Any
+    folder: Path
+    key: str
+
+
+def draw_figures(
+    result: RunResult, folder: Path, pool: WorkerPool, progress: Progress, meanwhile: Iterator[object]
+) -> None:
+    """Draw the figures of the report of `result` that `folder`, where they are kept, does not hold.
+
+    This process takes steps of `meanwhile` until they are drawn.
+    """
+    kept = Cache(folder)
+    tasks: dict[str, _Task] = {}
+    for kind, shown in shown_figures(result):
+        key = kind.cache_key(shown)
+        if not kept.holds(key):
+            tasks[key] = _Task(kind.key, shown, folder, key)
+    if not tasks:
+        return
+    names = [task.kind for task in tasks.values()]
+    progress.begin("drawing", len(names))
+    pool.map(
+        _draw,
+        list(tasks.values()),
+        done=lambda at: progress.advance(names[at]),
+        meanwhile=meanwhile,
+        unit="figure",
+    )
+
+
+def _draw(task: _Task) -> None:
+    kind = FIGURES.get(task.kind)
+    # What a worker would draw otherwise, such as with another matplotlib, is left to the process that asks for it.
+    if kind is not None and kind.cache_key(task.shown) == task.key:
+        kind.svg(task.shown, Cache(task.folder))

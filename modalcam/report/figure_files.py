@@ -15,11 +15,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from modalcam.pipeline.results import RunResult
-from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.figures.registry import FIGURES
-from modalcam.report.style.palette import figure_style, new_figure
-from modalcam.storage.atomic import replacing, write_text
+from modalcam.pipeline import RunResult, replacing, write_text
+from modalcam.report.figures import RECORDING_PLACES, RUN_PLACES, FigureKind, RecordingSubject, shown_in
+from modalcam.report.style import figure_style, new_figure
 
 # Widths of one and of two columns of a journal in inches (89 and 183 mm), and sizes of letters in points.
 COLUMNS = {1: (3.5, 7.0), 2: (7.2, 8.0)}
@@ -77,17 +75,11 @@ def write_figures(result: RunResult, folder: Path, *, columns: int = 2) -> list[
 def _jobs(result: RunResult) -> Iterator[_Job]:
     beam = result.beam
     theory = None if beam is None else beam.updated_modes or beam.standard_modes
-    subjects: list[tuple[str, str, Any, tuple[str, ...]]] = [
-        ("run", "", result, ("damping", "comparison", "updating"))
-    ]
-    subjects += [
-        (r.name, f", {r.file}", RecordingSubject(r, theory), ("recording", "tracking"))
-        for r in result.recordings
-    ]
-    for name, source, subject, places in subjects:
-        for kind in FIGURES.values():
-            if kind.place in places and (shown := kind.shows(subject)) is not None:
-                yield _Job(f"{name}_{kind.key}", source, kind, shown)
+    for kind, shown in shown_in(RUN_PLACES, result):
+        yield _Job(f"run_{kind.key}", "", kind, shown)
+    for recording in result.recordings:
+        for kind, shown in shown_in(RECORDING_PLACES, RecordingSubject(recording, theory)):
+            yield _Job(f"{recording.name}_{kind.key}", f", {recording.file}", kind, shown)
 
 
 def _drawn(job: _Job, columns: int) -> tuple[dict[str, bytes], pd.DataFrame] | None:

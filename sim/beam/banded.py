@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 PAD = 7
 BAND = 2 * PAD + 1
@@ -136,3 +136,28 @@ def solve_symmetric(columns: FloatArray, inverse_pivot: FloatArray, x: FloatArra
         value = rest - column[1] * a
         g, f, e, d, c, b, a = f, e, d, c, b, a, value
         x[j] = value
+
+
+def to_band(dense: FloatArray) -> FloatArray:
+    """Band form, shape (n, 15), of a matrix with half bandwidth 7."""
+    n = dense.shape[0]
+    band = np.zeros((n, BAND))
+    for k in range(BAND):
+        diagonal = np.diagonal(dense, k - PAD)
+        start = max(0, PAD - k)
+        band[start : start + diagonal.size, k] = diagonal
+    return band
+
+
+def from_band(band: FloatArray) -> FloatArray:
+    """Dense matrix, shape (n, n), of a band form."""
+    n = band.shape[0]
+    dense = np.zeros((n, n))
+    for k in range(BAND):
+        offset = k - PAD
+        size = n - abs(offset)
+        if size <= 0:
+            continue
+        rows = np.arange(size) + max(0, -offset)
+        dense[rows, rows + offset] = band[rows, k]
+    return dense

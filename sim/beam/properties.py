@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray, checked
 
 Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 STANDARD_GRAVITY_M_S2 = 9.80665
@@ -32,10 +32,7 @@ class PointMass:
 
     def __post_init__(self) -> None:
         for name in ("position_m", "mass_kg", "rotary_inertia_kg_m2"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                msg = f"{name} of a point mass must be finite and not negative, got {value}"
-                raise ValueError(msg)
+            checked(f"{name} of a point mass", getattr(self, name), at_least=0.0)
 
 
 @dataclass(frozen=True)
@@ -55,11 +52,9 @@ class ElasticClamp:
     translation_n_m: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rotation_n_m_rad", "translation_n_m"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                msg = f"{name} of an elastic clamp must be finite and positive, got {value}"
-                raise ValueError(msg)
+        checked("rotation_n_m_rad of an elastic clamp", self.rotation_n_m_rad, positive=True)
+        if self.translation_n_m is not None:
+            checked("translation_n_m of an elastic clamp", self.translation_n_m, positive=True)
 
 
 @dataclass(frozen=True)
@@ -90,13 +85,8 @@ class BeamProperties:
 
     def __post_init__(self) -> None:
         for name in ("length_m", "density_kg_m3", "elastic_modulus_pa"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                msg = f"{name} must be finite and positive, got {value}"
-                raise ValueError(msg)
-        if not (np.isfinite(self.gravity_m_s2) and self.gravity_m_s2 >= 0.0):
-            msg = f"gravity_m_s2 must be finite and not negative, got {self.gravity_m_s2}"
-            raise ValueError(msg)
+            checked(name, getattr(self, name), positive=True)
+        checked("gravity_m_s2", self.gravity_m_s2, at_least=0.0)
         if self.orientation not in get_args(Orientation):
             msg = f"orientation must be one of {', '.join(get_args(Orientation))}, got {self.orientation!r}"
             raise ValueError(msg)

@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.banded import PAD
-from tracker.arrays import FloatArray
+from sim.beam.ancf import AncfBeam
+from sim.beam.banded import PAD, from_band
+from tracker import FloatArray
 
 # q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
 GREENHILL_LOAD = 7.8373
-_MAX_ITERATIONS = 40
-# vertical component of the axis above which an inclined beam is standing
-_UPRIGHT = 0.9999
-_SMALLEST_LOAD_STEP = 1.0 / 1024.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the static equilibrium."""
+
+    #: [1] Newton iterations of one load step before it counts as failed
+    #: convention: Load steps that converge take 3 to 15, the latter bent to a full circle; the rest is reserve.
+    iterations: int = 40
+    #: [1] the same where the equilibria of a family of beams begin at that of the standard one
+    #: convention: Chosen; the error squares from one iteration to the next.
+    family_iterations: int = 30
+    #: [1] vertical component of the axis above which an inclined beam counts as standing, in messages
+    #: convention: Within 0.8 degrees of upright an instability is reported as buckling.
+    upright: float = 0.9999
+    #: [1] share of the load below which a step is not halved again: no equilibrium
+    #: convention: Ten halvings; a moment that bends the beam to a full circle needs steps of 1/16.
+    smallest_load_step: float = 1.0 / 1024.0
+    #: [lengths] an increment above it ends the iteration as diverged
+    #: physics: No point of a clamped beam moves by more than two lengths.
+    lost: float = 10.0
+    #: [1] iterations during which increments may grow
+    #: convention: Increments grow while a large rotation is found; converging steps have ended after 15.
+    patience: int = 12
+    #: [1] growth of an increment per iteration that counts as divergence after them
+    #: convention: Chosen; a converging iteration shrinks.
+    growth: float = 4.0
+    #: [lengths] largest increment at convergence
+    #: physics: Four decades above rounding, far below what a measurement resolves.
+    settled: float = 1e-12
+    #: [lengths] largest increment at which one that no longer halves is attributed to rounding
+    #: physics: A hundred times the other: rounding of EA times the strain may keep a bent slender beam from it. Chosen.
+    stalled: float = 1e-10
+
+
+TUNING = Tuning()
 
 
 class NoEquilibriumError(ArithmeticError):
@@ -70,7 +104,7 @@ def static_equilibrium(
         solved = _newton(beam, extra, tip_moment_n_m, target, q)
         if solved is None:
             step *= 0.5
-            if step < _SMALLEST_LOAD_STEP:
+            if step < TUNING.smallest_load_step:
                 msg = (
                     f"no static equilibrium beyond {100 * done:.3g} % of the load: Newton's method failed with "
                     "load steps of 0.1 %. Check the load's size, or use more elements."
@@ -89,7 +123,7 @@ def _newton(
     length = beam.properties.length_m
     scale = beam.dof_scale
     previous = np.inf
-    for iteration in range(_MAX_ITERATIONS):
+    for iteration in range(TUNING.iterations):
         state = beam.elastic(q)
         residual = share * (beam.weight_load_n + extra) - state.force_n
         tangent = state.tangent
@@ -100,10 +134,14 @@ def _newton(
         except np.linalg.LinAlgError:
             return None
         size = float(np.max(np.abs(delta * scale)))
-        if not np.isfinite(size) or size > 10.0 * length or (iteration > 12 and size > 4.0 * previous):
+        if (
+            not np.isfinite(size)
+            or size > TUNING.lost * length
+            or (iteration > TUNING.patience and size > TUNING.growth * previous)
+        ):
             return None
         q += delta
-        if size < 1e-12 * length or (size < 1e-10 * length and size > 0.5 * previous):
+        if size < TUNING.settled * length or (size < TUNING.stalled * length and size > 0.5 * previous):
             return q
         previous = size
     return None
@@ -137,7 +175,7 @@ def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
     try:
         np.linalg.cholesky(from_band(beam.elastic(q).tangent) * np.outer(scale, scale))
     except np.linalg.LinAlgError as error:
-        upright = beam.properties.orientation == "angled" and beam.axis[1] > _UPRIGHT
+        upright = beam.properties.orientation == "angled" and beam.axis[1] > TUNING.upright
         if beam.properties.orientation == "standing" or upright:
             raise BuckledBeamError(_buckling_message(beam)) from error
         msg = "the static equilibrium is unstable; check the direction and size of the load"

@@ -1,23 +1,5 @@
 """Comparison of recorded decays with simulations under each damping model (Fig. 2 to 4)."""
 
-from sim.comparison.bands import BAND_DRAWS, Candidate, draw_indices
-from sim.comparison.compare import FitDecay, compare_decay, obstacle
-from sim.comparison.drag import AirDrag, DragFit, DragLimit
-from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
-from sim.comparison.scores import ScoreSum
+import lazy_loader
 
-__all__ = [
-    "BAND_DRAWS",
-    "AirDrag",
-    "Candidate",
-    "DecayComparison",
-    "DragFit",
-    "DragLimit",
-    "FailedComparison",
-    "FitDecay",
-    "ModelDecay",
-    "ScoreSum",
-    "compare_decay",
-    "draw_indices",
-    "obstacle",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

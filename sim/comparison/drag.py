@@ -24,28 +24,66 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from sim.beam.modes import BeamModes
+from sim.beam import BeamModes
 from sim.comparison.problem import DecaySetting
 from sim.comparison.scores import SD_OF_90, correlated_square
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
-from sim.dynamics.trajectory import FailedSimulation
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation
+from tracker import Failure, FloatArray
 
-# significance of the slope in standard deviations; smaller slopes also result from large rotation
-_SHOWS = 3.0
-# significance of the fitted coefficient in standard deviations
-_SURE = 2.0
-_POINTS = 200
-_ROUNDS = 8
-_HALVINGS = 4
-# convergence: twice the gain of log likelihood by another step
-_SETTLED = 1e-2
-# finite differences, relative to amplitude, damping ratio and coefficient, and in rad over the record
-_RELATIVE_STEP, _PHASE_STEP = 3e-3, 3e-3
-# the first fit ends where the amplitude has decreased to this share, before the phase can slip by a period
-_EARLY_SHARE = 0.3
-# largest frequency of the baseline, as a share of the mode's frequency and in Hz
-_SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """When drag is fitted, and the convergence of its fit."""
+
+    #: [sd] slope of the damping ratio over its sd from which drag is fitted by simulation
+    #: statistics: 0.13 % of decays without drag exceed it; smaller slopes also result from large rotation.
+    shows: float = 3.0
+    #: [sd] fitted coefficient over its sd below which only a limit is given
+    #: statistics: A limit for 2.3 % of coefficients that are 0.
+    sure: float = 2.0
+    #: [1] points along the beam of the integral of |phi|^3
+    #: physics: The midpoint rule is off by about (pi r / 200)^2 / 24 of mode r: 1e-5 of mode 1, 3e-4 of mode 5.
+    points: int = 200
+    #: [1] Gauss-Newton rounds; beyond, only a limit is given
+    #: convention: Chosen for time: a round simulates six decays.
+    rounds: int = 8
+    #: [1] times that a step is shortened before none is better
+    #: convention: Chosen; the last step is 0.3^3 of the first.
+    halvings: int = 4
+    #: [1] factor on a step that is not better
+    #: convention: Chosen, not derived.
+    shortens: float = 0.3
+    #: [1] gain of twice the log likelihood by another step at convergence
+    #: statistics: Moves no parameter by more than a tenth of its sd.
+    settled: float = 1e-2
+    #: [1] the same where no shorter step is better: above it the fit has failed
+    #: statistics: Moves no parameter by more than its sd.
+    stuck: float = 1.0
+    #: [1] finite difference, over amplitude, damping ratio and coefficient
+    #: convention: Between the errors of the step (1e-7) and the curvature; chosen.
+    step: float = 3e-3
+    #: [rad] finite difference of the phase at the end of the record
+    #: convention: As the other.
+    phase_step: float = 3e-3
+    #: [1] damping ratio and coefficient below which a finite difference is not scaled down
+    #: convention: Chosen: far below any measured ratio.
+    smallest_ratio: float = 1e-6
+    #: [1] a step leaves at least this share of damping ratio and coefficient
+    #: convention: Chosen: both stay positive.
+    floor: float = 1e-3
+    #: [1] the first fit ends where the amplitude has fallen to this share
+    #: convention: Before the phase can slip by a period where the first frequency is off; chosen.
+    early_share: float = 0.3
+    #: [1] largest frequency of the baseline, over the mode's
+    #: physics: Below 0.5 a spline cannot follow the mode.
+    slow_share: float = 0.4
+    #: [Hz] largest frequency of the baseline
+    #: convention: Drift of lighting, mount and temperature is slower; chosen.
+    slow_hz: float = 1.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -85,22 +123,17 @@ class DragFit:
     noise_factor: float
 
 
-@dataclass(frozen=True)
-class DragLimit:
-    """A recording without detectable drag: falsy, with an upper limit.
+@dataclass(frozen=True, kw_only=True)
+class DragLimit(Failure):
+    """A recording without detectable drag, with an upper limit.
 
     Attributes
     ----------
     drag_coefficient_q95 : float
-        95 % quantile for a flat prior over coefficients from 0 on, by the averaged equation.
-    reason : str
+        95 % quantile for a flat prior over coefficients from 0 on, by the averaged equation; NaN where unknown.
     """
 
-    drag_coefficient_q95: float
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
+    drag_coefficient_q95: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -125,13 +158,13 @@ class DragDecay:
 def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: float) -> float:
     """Damping ratio per unit of drag coefficient and of modal amplitude (m kg^1/2), averaged over a period."""
     properties = modes.beam.properties
-    length = properties.length_m
-    at = (np.arange(_POINTS) + 0.5) * length / _POINTS
+    length, points = properties.length_m, TUNING.points
+    at = (np.arange(points) + 0.5) * length / points
     shape = modes.transverse_at(at)[:, mode_number - 1]
     width = properties.width_m[
         np.minimum((at / length * properties.elements).astype(int), properties.elements - 1)
     ]
-    return float(2.0 / (3.0 * np.pi) * density_kg_m3 * np.sum(width * np.abs(shape) ** 3) * length / _POINTS)
+    return float(2.0 / (3.0 * np.pi) * density_kg_m3 * np.sum(width * np.abs(shape) ** 3) * length / points)
 
 
 def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) -> DragDecay | DragLimit:
@@ -148,7 +181,7 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
     decay determines c_d times the amplitude: an error of the scale is an error of the coefficient.
     """
     if setting.at >= len(air.damping.damping_ratio):
-        return DragLimit(float("nan"), "the damping model does not include the mode of the recording")
+        return DragLimit("the damping model does not include the mode of the recording")
     per_unit = averaged_damping_slope(setting.modes, setting.at + 1, air.density_kg_m3) * abs(
         setting.coordinate
     )
@@ -158,20 +191,23 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
         averaged, averaged_sd = amplitude_fit.zeta1 / per_unit, amplitude_fit.zeta1_sd / per_unit
     if air.drag_coefficient is None:
         if amplitude_fit is None:
-            return DragLimit(
-                float("nan"), "the dependence of the damping ratio on the amplitude could not be determined"
-            )
-        if averaged < _SHOWS * averaged_sd:
+            return DragLimit("the dependence of the damping ratio on the amplitude could not be determined")
+        if averaged < TUNING.shows * averaged_sd:
             reason = "the damping ratio does not increase significantly with the amplitude"
-            return DragLimit(_upper(averaged, averaged_sd), reason)
+            return DragLimit(reason, drag_coefficient_q95=_upper(averaged, averaged_sd))
     problem = _Problem(setting, air, noise_sd_mm, _nuisance(setting))
-    zeta = air.damping.damping_ratio[setting.at] if amplitude_fit is None else max(amplitude_fit.zeta0, 1e-6)
+    zeta = (
+        air.damping.damping_ratio[setting.at]
+        if amplitude_fit is None
+        else max(amplitude_fit.zeta0, TUNING.smallest_ratio)
+    )
     first = np.array(
         [setting.coordinate.real, setting.coordinate.imag, setting.omega_rad_s[setting.at], zeta, averaged]
     )[: problem.count]
     fitted = problem.solve(first)
     if fitted is None:
-        return DragLimit(_upper(averaged, averaged_sd), "the fit of the drag by simulation did not converge")
+        reason = "the fit of the drag by simulation did not converge"
+        return DragLimit(reason, drag_coefficient_q95=_upper(averaged, averaged_sd))
     return _drag_decay(problem, fitted, averaged, averaged_sd)
 
 
@@ -217,7 +253,7 @@ class _Problem:
 
     def solve(self, first: FloatArray) -> _Fitted | None:
         decay = -self.setting.exponent.real
-        early = self.setting.time_s <= -np.log(_EARLY_SHARE) / max(decay, 1e-12)
+        early = self.setting.time_s <= -np.log(TUNING.early_share) / max(decay, 1e-12)
         near = self._gauss_newton(first, self.weights(early))
         if near is None:
             return None
@@ -257,12 +293,14 @@ class _Problem:
         )
 
     def _steps(self, parameters: FloatArray) -> FloatArray:
-        size = _RELATIVE_STEP * abs(complex(parameters[0], parameters[1]))
-        angular = _PHASE_STEP / max(float(self.setting.time_s[-1]), 1e-9)
-        return np.array([size, size, angular, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
+        size = TUNING.step * abs(complex(parameters[0], parameters[1]))
+        angular = TUNING.phase_step / max(float(self.setting.time_s[-1]), 1e-9)
+        return np.array(
+            [size, size, angular, *(TUNING.step * np.maximum(parameters[3:], TUNING.smallest_ratio))]
+        )
 
     def _gauss_newton(self, parameters: FloatArray, weights: FloatArray) -> _Fitted | None:
-        for round_ in range(_ROUNDS):
+        for round_ in range(TUNING.rounds):
             rows = np.vstack([parameters, parameters + np.diag(self._steps(parameters))])
             moved = self.simulated(rows)
             if moved is None:
@@ -277,12 +315,12 @@ class _Problem:
             gain = float(np.sum((design @ step) ** 2)) / max(
                 float(np.mean(residual[weights > 0.0] ** 2)), 1e-300
             )
-            if gain < _SETTLED:
+            if gain < TUNING.settled:
                 return _Fitted(parameters, moved[0], slopes)
             better = self._shorter(parameters, step, residual, weights)
             if better is None:
                 # round-off prevents a further improvement close to the optimum
-                return _Fitted(parameters, moved[0], slopes) if round_ and gain < 1.0 else None
+                return _Fitted(parameters, moved[0], slopes) if round_ and gain < TUNING.stuck else None
             parameters = better
         return None
 
@@ -291,20 +329,20 @@ class _Problem:
     ) -> FloatArray | None:
         """Parameters after the step, shortened until the residual decreases."""
         before = float(np.sum(residual**2))
-        for _ in range(_HALVINGS):
+        for _ in range(TUNING.halvings):
             trial = parameters + step
-            trial[3:] = np.maximum(trial[3:], 1e-3 * parameters[3:])
+            trial[3:] = np.maximum(trial[3:], TUNING.floor * parameters[3:])
             moved = self.simulated(trial[np.newaxis])
             if moved is not None and float(np.sum(self.residual(moved[0], weights) ** 2)) < before:
                 return np.asarray(trial)
-            step = 0.3 * step
+            step = TUNING.shortens * step
         return None
 
 
 def slow_columns(setting: DecaySetting) -> FloatArray:
     """Cubic B-splines for an offset and a drift slower than the mode, shape (n, p)."""
     t = setting.time_s
-    spacing_s = 0.5 / min(_SLOW_SHARE * abs(setting.exponent) / (2.0 * np.pi), _SLOW_HZ)
+    spacing_s = 0.5 / min(TUNING.slow_share * abs(setting.exponent) / (2.0 * np.pi), TUNING.slow_hz)
     inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
     knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
     return np.asarray(scipy.interpolate.BSpline.design_matrix(t, knots, 3).toarray())
@@ -333,10 +371,9 @@ def _drag_decay(
     sd = np.sqrt(np.diag(covariance))
     given = problem.air.drag_coefficient
     coefficient, coefficient_sd = (p[4], sd[4]) if given is None else (given, 0.0)
-    if given is None and coefficient < _SURE * coefficient_sd:
-        return DragLimit(
-            _upper(coefficient, coefficient_sd), "the drag fitted by simulation is not significant"
-        )
+    if given is None and coefficient < TUNING.sure * coefficient_sd:
+        reason = "the drag fitted by simulation is not significant"
+        return DragLimit(reason, drag_coefficient_q95=_upper(coefficient, coefficient_sd))
     baseline = problem.baseline(fitted.moved_mm, weights)
     curve: FloatArray = np.einsum("ank,ab,bnk->nk", fitted.slopes, covariance, fitted.slopes)
     fit = DragFit(

@@ -1,4 +1,4 @@
-"""Identified modes matched to those of the beam: numbers, modal coordinates, and the axis of motion."""
+"""Identified modes matched to those of the beam, and errors of envelope and phase of a simulated decay."""
 
 from __future__ import annotations
 
@@ -7,12 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
-from sim.beam.modes import BeamModes
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id import Identification, IdentifiedMode
+from sim.beam import BeamModes
+from tracker import ComplexArray, Failure, FloatArray
 
-# largest relative distance in frequency at which an identified mode without a number is matched to a beam mode
-NEAR = 0.15
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which modes match, and the windows of envelope and phase."""
+
+    #: [1] relative distance in frequency within which a mode without a number matches one of the beam
+    #: physics: Covers errors of thickness of 15 %; modes 1 to 5 of a cantilever lie a factor of 1.65 or more apart.
+    near: float = 0.15
+    #: [periods] shortest window of envelope and phase
+    #: convention: Whole periods make the offset orthogonal to the sine; two for a stable fit. Chosen.
+    periods: int = 2
+    #: [1] samples of a window at least, half of which must be known
+    #: physics: Four times the three unknowns of a window.
+    samples: int = 12
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -51,8 +66,8 @@ class MatchedModes:
         return complex(self.coordinate[int(np.flatnonzero(self.numbers == self.target_number)[0])])
 
 
-def match_modes(identification: Identification, modes: BeamModes) -> MatchedModes | str:
-    """Match the identified modes to those of the beam, or return the reason why the target has no match.
+def match_modes(identification: Identification, modes: BeamModes) -> MatchedModes | Failure:
+    """Match the identified modes to those of the beam, or return why the target has no match.
 
     The complex shape of each mode is projected on that of the beam by least squares over the markers.
     """
@@ -60,7 +75,8 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
     chosen, notes = _numbered(identification, target, modes)
     number = next((n for n, mode in chosen.items() if mode is target), None)
     if number is None:
-        return f"the mode identified at {target.frequency_hz:.4g} Hz matches none of the beam's first {modes.count}"
+        near = f"the mode identified at {target.frequency_hz:.4g} Hz"
+        return Failure(f"{near} matches none of the beam's first {modes.count}")
     used = identification.channels_used
     motion = _motion(modes, identification.series.positions_mm * 1e-3)
     axis = _axis(motion[used, number - 1], modes, identification.series.direction)
@@ -113,7 +129,7 @@ def _numbered(
 def _nearest(frequency_hz: float, theory_hz: FloatArray) -> int | None:
     distance = np.abs(theory_hz / frequency_hz - 1.0)
     best = int(np.argmin(distance))
-    return best + 1 if distance[best] < NEAR else None
+    return best + 1 if distance[best] < TUNING.near else None
 
 
 def _motion(modes: BeamModes, positions_m: FloatArray) -> FloatArray:
@@ -134,3 +150,50 @@ def _axis(motion: FloatArray, modes: BeamModes, direction: tuple[float, float]) 
 def _projected(shape: ComplexArray, column: FloatArray) -> complex:
     """Coordinate in m of a shape in mm."""
     return 1e-3 * complex(column @ shape) / float(column @ column)
+
+
+def envelope_and_phase_error(
+    time_s: FloatArray, measured: FloatArray, simulated: FloatArray, omega_rad_s: float
+) -> tuple[float, float]:
+    """Errors of amplitude and phase of a simulated motion, demodulated at `omega_rad_s`; NaN where it was not measured.
+
+    Returns
+    -------
+    envelope : float
+        rms of the difference of the amplitudes over the decay, relative to the rms of the measured amplitude.
+    phase_rad : float
+        rms of the difference of the phases, weighted by the square of the measured amplitude.
+
+    Notes
+    -----
+    Amplitude and phase in each window of whole periods are those of a least squares sine with an offset. NaN for a
+    record shorter than one window.
+    """
+    known = np.isfinite(measured)
+    one = _amplitudes(time_s, np.where(known, measured, 0.0), known, omega_rad_s)
+    other = _amplitudes(time_s, np.where(known, simulated, 0.0), known, omega_rad_s)
+    power = np.abs(one) ** 2
+    if not power.sum() > 0.0:
+        return float("nan"), float("nan")
+    envelope = np.sum((np.abs(other) - np.abs(one)) ** 2)
+    phase = np.angle(other * np.conj(one))
+    return float(np.sqrt(envelope / power.sum())), float(np.sqrt(power @ phase**2 / power.sum()))
+
+
+def _amplitudes(
+    time_s: FloatArray, values: FloatArray, known: NDArray[np.bool_], omega_rad_s: float
+) -> ComplexArray:
+    """Complex amplitude in each window, relative to ``exp(i omega t)``."""
+    period_s = 2.0 * np.pi / omega_rad_s
+    interval_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else np.inf
+    span_s = period_s * max(TUNING.periods, np.ceil(TUNING.samples * interval_s / period_s))
+    found = []
+    for begin in np.arange(time_s[0], time_s[-1] - span_s + interval_s, span_s):
+        inside = known & (time_s >= begin) & (time_s < begin + span_s)
+        if np.count_nonzero(inside) < TUNING.samples // 2:
+            continue
+        carrier = np.exp(1j * omega_rad_s * time_s[inside])
+        columns = np.stack([carrier.real, -carrier.imag, np.ones(carrier.size)], axis=1)
+        cosine, sine, _ = np.linalg.lstsq(columns, values[inside], rcond=None)[0]
+        found.append(complex(cosine, sine))
+    return np.array(found, dtype=np.complex128)

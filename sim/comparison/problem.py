@@ -8,31 +8,47 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from modal_id.results import Identification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import BeamModes
+from modal_id import Identification
+from sim.beam import AncfBeam, BeamModes
 from sim.comparison.matching import MatchedModes
 from sim.damping import DampingModel
-from sim.dynamics.excitation import state_with_coordinates
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import FailedSimulation, State
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, State, longest_step_s, simulate, state_with_coordinates
+from tracker import FloatArray
 
-_LONGEST_STEP_S = 5e-4
-# for differences between simulations, whose common error of the step cancels
-_LONGEST_COARSE_STEP_S = 4e-3
-# largest omega h of the highest identified mode per step: splines between the steps are exact to 4e-5 of that mode
-_LARGEST_PHASE = 0.35
-# the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...
-_START_SHARE = 0.3
-# ... until the correction is below this share of it, or this number of standard deviations
-_SMALLEST_CORRECTION = 2e-3
-_SURE = 3.0
-_CORRECTIONS = 4
-# convergence of the frequency: change of the phase at the end of the record
-_IN_PHASE_RAD = 1e-3
-# tip amplitude over length above which a motion is large; standard deviations above which damping varies
-_LARGE_MOTION, _CHANGES = 0.02, 3.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Steps of the simulations, and the correction of the initial state."""
+
+    #: [s] longest step for differences between simulations, whose common error of the step cancels
+    #: measurement: Bands move by less than 2 % of their width against 0.5 ms (tests/sim/comparison/test_bands.py).
+    longest_coarse_step_s: float = 4e-3
+    #: [1] the initial coordinate is corrected from the part of the decay above this share of its amplitude
+    #: convention: The part that the nonlinearity shapes and the damping model has not yet bent; chosen.
+    start_share: float = 0.3
+    #: [1] correction of the initial coordinate, over it, below which it is left
+    #: physics: 0.2 % of the amplitude is a fifth of the sample's noise at a hundredth.
+    smallest_correction: float = 2e-3
+    #: [sd] correction below this many standard deviations is left
+    #: statistics: The square of a complex number over its variance: exp(-9), one decay in 8000 without an error, is
+    #: corrected.
+    sure: float = 3.0
+    #: [1] rounds of corrections
+    #: convention: Chosen, not derived.
+    corrections: int = 4
+    #: [rad] change of the phase at the end of the record below which the frequency has converged
+    #: physics: Moves a sample by a thousandth of the amplitude at that time, below the noise.
+    in_phase_rad: float = 1e-3
+    #: [lengths] amplitude of the tip above which the initial state is corrected
+    #: physics: 10 mm of 500: the tip of mode 1 turns by 1.4 times that, 0.03 rad, and its cosine differs from 1 by
+    #: 4e-4.
+    large_motion: float = 0.02
+    #: [sd] slope of the damping ratio above which the damping varies with amplitude
+    #: statistics: 0.27 % of decays with constant damping exceed it.
+    changes: float = 3.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -88,7 +104,9 @@ class DecaySetting:
     @property
     def coarse(self) -> DecaySetting:
         """With longer steps, for differences between simulations with these."""
-        return replace(self, step_s=_step_s(self.matched, _LONGEST_COARSE_STEP_S))
+        return replace(
+            self, step_s=longest_step_s(float(self.matched.omega_rad_s.max()), TUNING.longest_coarse_step_s)
+        )
 
     def with_target(self, coordinate: complex, omega_rad_s: float) -> DecaySetting:
         """Copy with another initial coordinate and frequency of the target mode."""
@@ -158,12 +176,8 @@ def decay_setting(
         measured_mm=(series.values - identification.baseline)[after],
         baseline_mm=identification.baseline[after],
         used=identification.used[after],
-        step_s=_step_s(matched, _LONGEST_STEP_S),
+        step_s=longest_step_s(float(matched.omega_rad_s.max())),
     )
-
-
-def _step_s(matched: MatchedModes, longest_s: float) -> float:
-    return min(longest_s, _LARGEST_PHASE / float(matched.omega_rad_s.max()))
 
 
 def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
@@ -178,7 +192,7 @@ def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySet
     if large:
         setting = _with_early_start(setting, model)
     t = setting.time_s
-    for _ in range(_CORRECTIONS):
+    for _ in range(TUNING.corrections):
         found = _missed(setting, model, np.ones(t.size, dtype=np.bool_), 2)
         if found is None:
             return setting
@@ -186,7 +200,7 @@ def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySet
         shift = float((slope / max(float(t[-1]), 1e-12) / setting.coordinate).imag)
         moved = setting.coordinate if large else setting.coordinate + start
         setting = setting.with_target(moved, float(setting.omega_rad_s[setting.at]) + shift)
-        if abs(shift) * float(t[-1]) < _IN_PHASE_RAD:
+        if abs(shift) * float(t[-1]) < TUNING.in_phase_rad:
             return setting
     return setting
 
@@ -198,14 +212,14 @@ def _with_early_start(setting: DecaySetting, model: DampingModel) -> DecaySettin
     the correction, and the other terms absorb errors of the damping model.
     """
     decay = -setting.exponent.real
-    early = setting.time_s <= -np.log(_START_SHARE) / decay if decay > 0.0 else setting.time_s >= 0.0
-    for _ in range(_CORRECTIONS):
+    early = setting.time_s <= -np.log(TUNING.start_share) / decay if decay > 0.0 else setting.time_s >= 0.0
+    for _ in range(TUNING.corrections):
         found = _missed(setting, model, early, 3)
         if found is None:
             return setting
         coefficients, sd = found
         correction = complex(coefficients[0])
-        if abs(correction) < max(_SMALLEST_CORRECTION * abs(setting.coordinate), _SURE * sd):
+        if abs(correction) < max(TUNING.smallest_correction * abs(setting.coordinate), TUNING.sure * sd):
             return setting
         setting = replace(setting, coordinate=setting.coordinate + correction)
     return setting
@@ -240,5 +254,5 @@ def _missed(
 
 def _is_large(setting: DecaySetting) -> bool:
     amplitude_fit = setting.matched.target.amplitude_dependence
-    changes = amplitude_fit is not None and abs(amplitude_fit.zeta1) > _CHANGES * amplitude_fit.zeta1_sd
-    return bool(changes or setting.tip_amplitude_m > _LARGE_MOTION * setting.beam.properties.length_m)
+    changes = amplitude_fit is not None and abs(amplitude_fit.zeta1) > TUNING.changes * amplitude_fit.zeta1_sd
+    return bool(changes or setting.tip_amplitude_m > TUNING.large_motion * setting.beam.properties.length_m)

@@ -11,10 +11,70 @@ from numpy.typing import NDArray
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import SD_OF_90, ScoreSum
 from sim.damping import DAMPING_MODELS
-from tracker.arrays import FloatArray
+from tracker import Column, FloatArray, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+# Of ``comparison.csv``: values of a comparison and the decay of one of its models.
+COMPARISON_COLUMNS = (
+    Column("recording", "", "name of the recording", lambda row: row[0].recording),
+    Column("mode", "", "number of the beam's mode", lambda row: row[0].mode_number),
+    Column("model", "", "key of the damping model", lambda row: row[1].model),
+    Column("damping_ratio_measured", "1", "as in `modes.csv`", lambda row: row[0].damping_ratio),
+    Column(
+        "damping_ratio_simulated",
+        "1",
+        "of the simulated decay, by the same fit",
+        lambda row: row[1].damping_ratio,
+    ),
+    Column("frequency_measured_hz", "Hz", "as in `modes.csv`", lambda row: row[0].frequency_hz),
+    Column(
+        "frequency_simulated_hz",
+        "Hz",
+        "of the simulated decay, by the same fit",
+        lambda row: row[1].frequency_hz,
+    ),
+    Column(
+        "nrmse",
+        "1",
+        "rms of simulated minus measured over rms of measured displacement",
+        lambda row: row[1].nrmse,
+    ),
+    Column(
+        "envelope_error", "1", "rms error of the amplitude, weighted by it", lambda row: row[1].envelope_error
+    ),
+    Column(
+        "phase_error_rad",
+        "rad",
+        "rms error of the phase, weighted by the amplitude",
+        lambda row: row[1].phase_error_rad,
+    ),
+    Column("samples", "1", "samples that the scores count", lambda row: row[1].log_density.samples),
+    Column(
+        "log_density",
+        "nat",
+        "log predictive density of the samples, in mm",
+        lambda row: row[1].log_density.total,
+    ),
+    Column(
+        "log_density_gain",
+        "nat",
+        "excess of the first model (`generic`) over it",
+        lambda row: row[1].log_density_gain.total,
+    ),
+    Column(
+        "log_density_gain_se", "nat", "standard error of the gain", lambda row: row[1].log_density_gain.se
+    ),
+    Column("crps", "mm", "continuous ranked probability score per sample", lambda row: row[1].crps.mean),
+    Column(
+        "coverage_90",
+        "1",
+        "share of the samples within the 90 % predictive band",
+        lambda row: row[1].coverage,
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -112,27 +172,7 @@ class DecayComparison:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per damping model, with the columns of ``comparison.csv``."""
-        return [
-            {
-                "recording": self.recording,
-                "mode": self.mode_number,
-                "model": decay.model,
-                "damping_ratio_measured": self.damping_ratio,
-                "damping_ratio_simulated": decay.damping_ratio,
-                "frequency_measured_hz": self.frequency_hz,
-                "frequency_simulated_hz": decay.frequency_hz,
-                "nrmse": decay.nrmse,
-                "envelope_error": decay.envelope_error,
-                "phase_error_rad": decay.phase_error_rad,
-                "samples": decay.log_density.samples,
-                "log_density": decay.log_density.total,
-                "log_density_gain": decay.log_density_gain.total,
-                "log_density_gain_se": decay.log_density_gain.se,
-                "crps": decay.crps.mean,
-                "coverage_90": decay.coverage,
-            }
-            for decay in self.models
-        ]
+        return [table_row(COMPARISON_COLUMNS, (self, decay)) for decay in self.models]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per damping model, with the columns of ``comparison.csv``."""
@@ -165,14 +205,3 @@ class DecayComparison:
 
     def _repr_html_(self) -> str:
         return str(self.to_dataframe().to_html(index=False))
-
-
-@dataclass(frozen=True)
-class FailedComparison:
-    """A recording whose decay could not be simulated: falsy, with the reason."""
-
-    recording: str
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False

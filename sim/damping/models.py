@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray, checked
 
 if TYPE_CHECKING:
     # the configuration reads the registry, and the beam's kernels are slow to load
-    from sim.beam.modes import BeamModes
+    from sim.beam import BeamModes
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,7 @@ class StillAir:
 
     def __post_init__(self) -> None:
         for name in ("density_kg_m3", "drag_coefficient"):
-            value = getattr(self, name)
-            if not 0.0 <= value < float("inf"):
-                msg = f"{name} must be finite and not negative, got {value}"
-                raise ValueError(msg)
+            checked(name, getattr(self, name), at_least=0.0)
 
 
 @dataclass(frozen=True)

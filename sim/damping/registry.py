@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.damping.models import DampingModel, GenericDamping, RayleighDamping
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _KEY = re.compile(r"[a-z][a-z0-9_]*")
 _COLOUR = re.compile(r"#[0-9a-f]{6}")

@@ -1,4 +1,4 @@
-"""Initial states: released from a shape, from fitted modal amplitudes, or from base excitation.
+"""Initial states, from a shape, modal amplitudes or base excitation, and the free decay of one mode.
 
 Modal displacements are not simply superposed on the equilibrium: a straight beam displaced by 0.1 mm of the paper's
 fifth mode would have a spurious tension of newtons. The initial shape is the static equilibrium under the load
@@ -7,20 +7,60 @@ fifth mode would have a spurious tension of newtons. The initial shape is the st
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.modes import BeamModes
-from sim.beam.statics import NoEquilibriumError, static_equilibrium
-from sim.damping import DampingModel
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-from tracker.arrays import ComplexArray, FloatArray
+from sim.beam import (
+    AncfBeam,
+    Beam,
+    BeamModes,
+    BeamProperties,
+    NoEquilibriumError,
+    ancf_beam,
+    from_band,
+    static_equilibrium,
+)
+from sim.damping import DampingModel, GenericDamping
+from sim.dynamics.simulate import (
+    BaseMotion,
+    FailedSimulation,
+    State,
+    Trajectory,
+    fitted_modes,
+    longest_step_s,
+    simulate,
+)
+from tracker import ComplexArray, FloatArray
 
-# iterations of Newton's method on the loads, and the relative error of the largest coordinate at convergence
-_STATE_ROUNDS, _STATE_TOLERANCE = 30, 1e-9
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of initial states."""
+
+    #: [1] iterations on the loads of a state with given modal coordinates; beyond: no equilibrium
+    #: convention: 2 to 8, the latter at 350 mm of a beam of 500 mm; the rest is reserve.
+    rounds: int = 30
+    #: [1] error of a modal coordinate at convergence, over the largest
+    #: physics: A hundredth of the accuracy of a simulated decay, 1e-7.
+    coordinate_error: float = 1e-9
+    #: [1] iterations on the load that displaces the tip; beyond: it cannot be displaced that far
+    #: convention: 2 to 6, the latter at 350 mm of a beam of 500 mm; the rest is reserve.
+    release_rounds: int = 60
+    #: [lengths] error of the tip's displacement at convergence
+    #: physics: Statics is accurate to 1e-12 lengths with 20 elements, and less accurate with more.
+    tip_error: float = 1e-10
+    #: [1] largest change of the load in an iteration, over the load
+    #: convention: Chosen; keeps Newton's method on the branch of the equilibrium where the beam stiffens.
+    longest_move: float = 2.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -87,12 +127,12 @@ def state_with_coordinates(
     rows = (beam.mass_matrix() @ modes.phi[:, :count]).T
     loads = rows.T * modes.omega_rad_s[:count] ** 2
     share, q = displacement.copy(), modes.equilibrium
-    for _ in range(_STATE_ROUNDS):
+    for _ in range(TUNING.rounds):
         q = static_equilibrium(beam, loads @ share, start=q)
         family = np.linalg.solve(from_band(beam.elastic(q).tangent), loads)
         moved = rows @ family
         missed = displacement - rows @ (q - modes.equilibrium)
-        if np.max(np.abs(missed)) <= _STATE_TOLERANCE * np.max(np.abs(displacement), initial=0.0):
+        if np.max(np.abs(missed)) <= TUNING.coordinate_error * np.max(np.abs(displacement), initial=0.0):
             return State(q, np.asarray(family @ np.linalg.solve(moved, velocity)))
         share = share + np.linalg.solve(moved, missed)
     msg = "no static shape with these modal coordinates was found: the motion is too large for modes about the rest"
@@ -114,14 +154,14 @@ def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displ
     rest = beam.transverse_at(tip, modes.equilibrium)[0]
     coordinate = tip_displacement_m / modes.transverse_at(tip)[0, mode_number - 1]
     q = modes.equilibrium
-    for _ in range(60):
+    for _ in range(TUNING.release_rounds):
         q = static_equilibrium(beam, coordinate * load, start=q)
         miss = tip_displacement_m - (beam.transverse_at(tip, q)[0] - rest)
-        # statics is accurate to 1e-12 of the length with 20 elements, and less accurate with more
-        if abs(miss) < 1e-10 * beam.properties.length_m:
+        if abs(miss) < TUNING.tip_error * beam.properties.length_m:
             return State(q, np.zeros_like(q))
         slope = beam.transverse_at(tip, np.linalg.solve(from_band(beam.elastic(q).tangent), load))[0]
-        coordinate += float(np.clip(miss / slope, -2.0 * abs(coordinate), 2.0 * abs(coordinate)))
+        most = TUNING.longest_move * abs(coordinate)
+        coordinate += float(np.clip(miss / slope, -most, most))
     msg = f"no load of mode {mode_number} displaces the tip by {tip_displacement_m} m"
     raise ValueError(msg)
 
@@ -182,7 +222,7 @@ def shake_and_stop(
     try:
         state = state_from_modes(beam, modes, start.real, (1j * omega * start).real)
     except NoEquilibriumError as error:
-        return FailedSimulation(0.0, 0, f"no static shape was found for the steady state: {error}")
+        return FailedSimulation(f"no static shape was found for the steady state: {error}")
     steps = round((shake_s + decay_s) / step_s)
     return simulate(
         beam,
@@ -203,3 +243,133 @@ def steady_response(modes: BeamModes, damping_ratio: FloatArray, omega_rad_s: fl
     own = modes.omega_rad_s
     dynamic = own**2 - omega_rad_s**2 + 2j * damping_ratio * own * omega_rad_s
     return np.asarray(modes.base_participation() * omega_rad_s**2 / dynamic, dtype=np.complex128)
+
+
+class SimulationError(ArithmeticError):
+    """The simulation did not reach its end; the text gives the time and the reason."""
+
+
+@dataclass(frozen=True)
+class FreeDecay:
+    """Free decay of one mode, released from rest.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Natural frequency of the mode at small amplitude.
+    tip_mm : array, shape (n,)
+        Transverse displacement of the tip from the static equilibrium.
+    trajectory : Trajectory
+        Motion of the tip in the plane, energy and solver statistics.
+    """
+
+    mode: int
+    frequency_hz: float
+    damping: DampingModel
+    time_s: FloatArray
+    tip_mm: FloatArray
+    trajectory: Trajectory
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Columns ``time_s`` and ``tip_mm``, one row per step."""
+        import pandas as pd  # noqa: PLC0415
+
+        return pd.DataFrame({"time_s": self.time_s, "tip_mm": self.tip_mm})
+
+    def plot(self, ax: Any = None) -> Any:
+        """Tip displacement against time; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        ax.plot(self.time_s, self.tip_mm, linewidth=0.8)
+        ax.set(xlabel="time (s)", ylabel="tip displacement (mm)", title=f"Free decay of mode {self.mode}")
+        return ax
+
+    def __repr__(self) -> str:
+        return (
+            f"FreeDecay(mode {self.mode}, {self.frequency_hz:.4g} Hz, {abs(self.tip_mm[0]):.4g} mm at the tip, "
+            f"{self.time_s[-1]:.4g} s, {self.time_s.size} samples)"
+        )
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False, max_rows=10))
+
+
+def simulate_free_decay(
+    beam: Beam | BeamProperties,
+    damping: DampingModel | float | Sequence[float],
+    *,
+    mode: int = 1,
+    tip_amplitude_mm: float,
+    duration_s: float,
+    step_s: float | None = None,
+) -> FreeDecay:
+    """Release the beam from the static shape of one mode and let it decay.
+
+    Parameters
+    ----------
+    beam : Beam
+    damping : DampingModel, float or sequence of float
+        A number is the damping ratio of all modes up to `mode`, a sequence those of modes 1, 2, ... (`GenericDamping`).
+    mode : int
+        1 first.
+    tip_amplitude_mm : float
+        Transverse displacement of the tip at the start; large displacements are exact.
+    duration_s : float
+    step_s : float, optional
+        The shorter of 0.5 ms and 0.35 / omega of the mode when absent.
+
+    Returns
+    -------
+    FreeDecay
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range, or the tip cannot be displaced that far.
+    SimulationError
+        If a step does not converge.
+
+    Examples
+    --------
+    >>> from sim.beam.beam import Beam
+    >>> from sim.dynamics.excitation import simulate_free_decay
+    >>> beam = Beam(length_mm=500, width_mm=5, thickness_mm=0.5, density_kg_m3=8000, elastic_modulus_mpa=210_000)
+    >>> simulate_free_decay(beam, 0.01, mode=2, tip_amplitude_mm=2.0, duration_s=1.0)
+    FreeDecay(mode 2, 10.58 Hz, 2 mm at the tip, 1 s, 2001 samples)
+    """
+    if mode < 1:
+        msg = f"mode must be 1 or more, got {mode}"
+        raise ValueError(msg)
+    model = _damping_model(damping, mode)
+    assembled = ancf_beam(beam)
+    properties = assembled.properties
+    modes = fitted_modes(assembled, max(mode + 1, model.least_beam_modes))
+    if mode > modes.count:
+        msg = f"mode must be at most {modes.count} with {properties.elements} elements, got {mode}"
+        raise ValueError(msg)
+    omega = float(modes.omega_rad_s[mode - 1])
+    tip_m = np.array([properties.length_m])
+    run = simulate(
+        assembled,
+        model,
+        state=released_state(assembled, modes, mode, 1e-3 * tip_amplitude_mm),
+        duration_s=duration_s,
+        step_s=longest_step_s(omega) if step_s is None else step_s,
+        output_positions_m=tip_m,
+        modes=modes,
+    )
+    if isinstance(run, FailedSimulation):
+        raise SimulationError(run.reason)
+    rest_m = assembled.transverse_at(tip_m, modes.equilibrium)
+    return FreeDecay(
+        mode, omega / (2.0 * np.pi), model, run.time_s, 1e3 * (run.transverse_m - rest_m)[:, 0], run
+    )
+
+
+def _damping_model(damping: DampingModel | float | Sequence[float], mode: int) -> DampingModel:
+    if isinstance(damping, DampingModel):
+        return damping
+    if isinstance(damping, int | float):
+        return GenericDamping((float(damping),) * mode)
+    return GenericDamping(tuple(float(ratio) for ratio in damping))

@@ -17,14 +17,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.modes import BeamModes
+from sim.beam import BeamModes
 from sim.damping import DampingCoefficients
-from tracker.arrays import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
-# omega h above which a mode is not corrected: its midpoint frequency is far off, and higher modes are not resolved
-_LARGEST_FITTED_PHASE = 1.2
-# share of a modal term in the tangent below which it is omitted there
-_SMALLEST_LOW_RANK = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which modes are corrected, and where."""
+
+    #: [rad] omega h of a step above which a mode is not corrected
+    #: physics: The midpoint rule is off by (omega h)^2 / 12 = 12 % there, and higher modes are not resolved.
+    largest_phase: float = 1.2
+    #: [1] share of a modal term in the mass part of the tangent below which it is omitted there
+    #: physics: An iteration with an approximate tangent converges by about this factor; the solution does not depend on
+    #: it.
+    smallest_share: float = 0.01
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,7 @@ def modal_terms(
     target = omega.copy()
     if target_omega_rad_s is not None:
         target[: target_omega_rad_s.size] = target_omega_rad_s
-    fitted = omega * levels_s[0] < _LARGEST_FITTED_PHASE
+    fitted = omega * levels_s[0] < TUNING.largest_phase
     omega, target, zeta = omega[fitted], target[fitted], coefficients.damping_ratio[fitted]
     rows = np.ascontiguousarray((modes.beam.mass_matrix() @ modes.phi[:, fitted]).T)
     exponent = target * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
@@ -100,5 +111,5 @@ def modal_terms(
 
 def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
     """First of the modal terms, (..., r), with a significant share of the tangent's mass part; r where none has."""
-    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * _SMALLEST_LOW_RANK
+    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * TUNING.smallest_share
     return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))

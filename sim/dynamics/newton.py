@@ -7,33 +7,68 @@ Padded vectors, shape (n + 14,), are those of `sim.beam.banded`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from sim.beam.banded import (
-    COLUMN,
-    PAD,
-    REORDER,
-    add_product,
-    factor_symmetric,
-    solve_symmetric,
+from sim.beam import COLUMN, PAD, REORDER, add_product, factor_symmetric, solve_symmetric
+from sim.dynamics.forces import (
+    Air,
+    Axial,
+    Gradients,
+    Stretch,
+    axial_force,
+    axial_tangent,
+    drag_force,
+    empty_gradients,
+    empty_stretch,
+    interpolate,
+    predict,
 )
-from sim.dynamics.axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
-from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray
 
-_ITERATIONS = 20
-# multiple of the tolerance below which increments that stop decreasing are attributed to round-off
-_STALLED = 50.0
-# contraction of the increment per iteration above which the tangent is refactored for the next step; above which it is
-# refactored within the step; above which it does not indicate convergence
-_WORTH_FACTORING = 0.015
-_RENEW_NOW = 0.25
-_TRUSTED = 0.5
-# lower limit of a contraction: the first ratio of increments may belong to a fast-converging component
-_SMALLEST_CONTRACTION = 3e-3
+
+@dataclass(frozen=True)
+class Tuning:
+    """When an iteration ends and when its tangent is factored again."""
+
+    #: [1] iterations of a step before it is halved
+    #: convention: A step of 0.5 ms takes 2 to 4 at the tip amplitudes of the paper and at 200 mm; the rest is reserve.
+    iterations: int = 20
+    #: [tolerances] increment below which one that no longer decreases counts as rounding, and the step as solved
+    #: convention: Chosen, not derived.
+    stalled: float = 50.0
+    #: [1] iterations after which an increment may count as stalled
+    #: convention: Chosen; a usual step has ended by then.
+    stalled_after: int = 4
+    #: [1] contraction per iteration above which an increment counts as no longer decreasing
+    #: convention: Chosen, not derived.
+    stalled_contraction: float = 0.7
+    #: [1] contraction of the increment per iteration above which the next step factors the tangent anew
+    #: convention: Chosen: one factorisation saves iterations of the later steps.
+    worth_factoring: float = 0.015
+    #: [1] contraction above which the tangent is factored anew within the step
+    #: convention: Chosen, as the contraction of a tangent that has aged.
+    renew_now: float = 0.25
+    #: [1] contraction above which it does not predict the error of an iterate
+    #: physics: The remaining error is c / (1 - c) of the increment, which the estimate c meets within a factor of 2.
+    trusted: float = 0.5
+    #: [1] lower limit of a contraction in the prediction of the error
+    #: convention: The first ratio of increments may be that of a fast-converging part; chosen.
+    smallest_contraction: float = 3e-3
+
+
+TUNING = Tuning()
+_ITERATIONS = TUNING.iterations
+_STALLED = TUNING.stalled
+_STALLED_AFTER = TUNING.stalled_after
+_STALLED_CONTRACTION = TUNING.stalled_contraction
+_WORTH_FACTORING = TUNING.worth_factoring
+_RENEW_NOW = TUNING.renew_now
+_TRUSTED = TUNING.trusted
+_SMALLEST_CONTRACTION = TUNING.smallest_contraction
 
 # indices into the array of counts
 ITERATIONS, FACTORISATIONS, HALVINGS, STEP = range(4)
@@ -314,7 +349,7 @@ def solve_step(
             if contraction > _WORTH_FACTORING:
                 memory[FACTORED_LEVEL] = -1
             return iteration + 1
-        if iteration >= 4 and contraction > 0.7 and size < _STALLED * tolerance:
+        if iteration >= _STALLED_AFTER and contraction > _STALLED_CONTRACTION and size < _STALLED * tolerance:
             # round-off of the axial force may prevent a further decrease
             return iteration + 1
         previous = size

@@ -15,27 +15,177 @@ Simo, Tarnow, "The discrete energy-momentum method", ZAMP 43 (1992) 757-792, doi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, shape_functions
-from sim.beam.banded import decoupled, diagonals, lower_columns
-from sim.beam.modes import BeamModes, beam_modes
+from sim.beam import AncfBeam, BeamModes, beam_modes, decoupled, diagonals, lower_columns, shape_functions
 from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.dynamics.forces import Air, Axial
 from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
 from sim.dynamics.modal_terms import ModalTerms, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
-from sim.dynamics.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
-from tracker.arrays import FloatArray
+from tracker import Failure, FloatArray, checked
 
-DEFAULT_FITTED_MODES = 8
-# levels of step halving, the full step included, before the simulation fails
-HALVING_LEVELS = 6
-# tolerance of a step's iteration, relative to the preceding steps, and to the length
-RELATIVE_TOLERANCE = 5e-12
-SMALLEST_TOLERANCE = 1e-14
-# for the drag, whose |v| v is not a polynomial
-DRAG_GAUSS_POINTS = 3
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class State:
+    """Displacement and velocity of the free coordinates relative to the clamp, each of shape (ndof,)."""
+
+    q: FloatArray
+    v: FloatArray
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """Transverse motion of the clamp, sampled at every step of a simulation.
+
+    Attributes
+    ----------
+    displacement_m, velocity_m_s : array, shape (steps + 1,)
+        The mean acceleration over a step is the difference of the velocities.
+    """
+
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.displacement_m.ndim != 1 or self.displacement_m.shape != self.velocity_m_s.shape:
+            msg = (
+                "displacement_m and velocity_m_s need one value per step each, got shapes "
+                f"{self.displacement_m.shape} and {self.velocity_m_s.shape}"
+            )
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(self.displacement_m)) and np.all(np.isfinite(self.velocity_m_s))):
+            msg = "a base motion must be finite at every step"
+            raise ValueError(msg)
+
+    @classmethod
+    def sample(
+        cls, motion: Callable[[FloatArray], tuple[FloatArray, FloatArray]], step_s: float, steps: int
+    ) -> BaseMotion:
+        """Evaluate ``motion(time_s) -> (displacement_m, velocity_m_s)`` on the grid of `steps` steps."""
+        displacement, velocity = motion(np.arange(steps + 1, dtype=np.float64) * step_s)
+        return cls(displacement, velocity)
+
+
+@dataclass(frozen=True)
+class SolverCounts:
+    """Work of the integrator."""
+
+    steps: int
+    iterations: int
+    factorisations: int
+    halvings: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion of n instants, from 0, of k material points of a simulated beam.
+
+    Attributes
+    ----------
+    positions_m : array, shape (k,)
+        Distances of the points from the clamp along the undeformed beam.
+    x_m, y_m, angle_rad : array, shape (n, k)
+        In the image, right and up, with the clamp at rest at the origin and the motion of the base included; rotation
+        from the undeformed direction, counter-clockwise.
+    axial_m, transverse_m : array, shape (n, k)
+        Displacement along the undeformed beam and across it, relative to the clamp.
+    base_m, energy_j : array, shape (n,)
+        Transverse displacement of the clamp; kinetic (relative to the clamp), strain and gravitational energy.
+    """
+
+    time_s: FloatArray
+    positions_m: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+    axial_m: FloatArray
+    transverse_m: FloatArray
+    base_m: FloatArray
+    energy_j: FloatArray
+    final: State
+    counts: SolverCounts
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per time and point: ``time_s, position_mm, x_mm, y_mm, angle_rad, transverse_mm``."""
+        import pandas as pd  # noqa: PLC0415
+
+        n, k = self.x_m.shape
+        return pd.DataFrame(
+            {
+                "time_s": np.repeat(self.time_s, k),
+                "position_mm": np.tile(1e3 * self.positions_m, n),
+                "x_mm": 1e3 * self.x_m.ravel(),
+                "y_mm": 1e3 * self.y_m.ravel(),
+                "angle_rad": self.angle_rad.ravel(),
+                "transverse_mm": 1e3 * self.transverse_m.ravel(),
+            }
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Transverse displacement of each point against time; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        for position_m, moved_m in zip(self.positions_m, self.transverse_m.T, strict=True):
+            ax.plot(self.time_s, 1e3 * moved_m, linewidth=0.8, label=f"{1e3 * position_m:g} mm")
+        ax.set(xlabel="time (s)", ylabel="transverse displacement (mm)")
+        ax.legend(title="from the clamp")
+        return ax
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.positions_m.size} points, {self.time_s.size} times to {self.time_s[-1]:.4g} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False, max_rows=10))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailedSimulation(Failure):
+    """A simulation that did not reach its end: the time and the step at which it stopped."""
+
+    time_s: float = 0.0
+    step: int = 0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Steps of a simulation and the accuracy to which they are solved."""
+
+    #: [s] longest time step where the caller names none
+    #: measurement: docs/studies/verification.md: the tip changes by 4e-8 of the amplitude from 1 to 0.5 ms; frequencies
+    #: are within 1e-7.
+    longest_step_s: float = 5e-4
+    #: [rad] omega h per step of the highest mode of interest
+    #: physics: Cubic splines between the steps are exact to (omega h)^4 / 384 = 4e-5 of that mode.
+    largest_phase: float = 0.35
+    #: [1] modes whose discrete frequency and damping are exact, where no more are asked for
+    #: convention: The paper's five modes, and three above them for the residual damping and for what the start excites.
+    fitted_modes: int = 8
+    #: [1] levels of step halving, the full step included, before a simulation fails
+    #: convention: Down to 1/32 of a step; chosen.
+    halving_levels: int = 6
+    #: [1] error of a step's iteration over the largest displacement of the preceding steps
+    #: measurement: docs/studies/verification.md: the energy drifts by 2e-9 in 60 s from 200 mm.
+    tolerance: float = 5e-12
+    #: [lengths] error of a step's iteration below which a beam almost at rest is not solved further
+    #: physics: A hundred times the rounding of a displacement of one length.
+    smallest_tolerance: float = 1e-14
+    #: [1] Gauss points of an element for the drag, whose |v| v is no polynomial
+    #: convention: Chosen; exact for the drag of a rigid rotation, whose v^2 is quadratic along the beam.
+    drag_points: int = 3
+
+
+TUNING = Tuning()
 
 
 def simulate(
@@ -82,9 +232,9 @@ def simulate(
     """
     steps = checked_steps(beam, state, duration_s, step_s, output_every, base)
     if modes is None:
-        modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
+        modes = beam_modes(beam, min(TUNING.fitted_modes, beam.properties.elements))
     coefficients = damping.coefficients(modes)
-    levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
+    levels_s = np.array([step_s / 2**level for level in range(TUNING.halving_levels)])
     terms = modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
@@ -125,6 +275,17 @@ def simulate(
     )
 
 
+def longest_step_s(omega_rad_s: float, longest_s: float | None = None) -> float:
+    """Longest time step for a motion up to this angular frequency, 0 for any, and at most `longest_s` (0.5 ms)."""
+    longest_s = TUNING.longest_step_s if longest_s is None else longest_s
+    return min(longest_s, TUNING.largest_phase / omega_rad_s) if omega_rad_s > 0.0 else longest_s
+
+
+def fitted_modes(beam: AncfBeam, least: int = 1) -> BeamModes:
+    """Modes to be exact in a simulation of the beam: eight, at least `least`, at most those of the mesh."""
+    return beam_modes(beam, min(max(least, TUNING.fitted_modes), 2 * beam.properties.elements))
+
+
 def checked_steps(
     beam: AncfBeam,
     state: State,
@@ -134,9 +295,8 @@ def checked_steps(
     base: BaseMotion | None,
 ) -> int:
     """Number of steps, after a check that the arguments match."""
-    if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
-        msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
-        raise ValueError(msg)
+    checked("step_s", step_s, positive=True)
+    checked("duration_s", duration_s, at_least=step_s)
     if output_every < 1:
         msg = f"output_every must be at least 1, got {output_every}"
         raise ValueError(msg)
@@ -176,7 +336,7 @@ def _structure(
         air=_air(beam, coefficients.air),
         relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
         dof_scale=beam.dof_scale,
-        tolerance=(RELATIVE_TOLERANCE, SMALLEST_TOLERANCE * beam.properties.length_m),
+        tolerance=(TUNING.tolerance, TUNING.smallest_tolerance * beam.properties.length_m),
     )
 
 
@@ -184,7 +344,7 @@ def _air(beam: AncfBeam, air: StillAir | None) -> Air:
     """Drag at the Gauss points; no points without air."""
     if air is None:
         return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
-    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS)
+    nodes, weights = np.polynomial.legendre.leggauss(TUNING.drag_points)
     at, h = 0.5 * (nodes + 1.0), beam.element_length_m
     half = 0.5 * air.density_kg_m3 * air.drag_coefficient
     return Air(
@@ -224,7 +384,7 @@ def _linear_matrices(
 def _failure(step: int, step_s: float) -> FailedSimulation:
     reason = (
         f"the step at {step * step_s:.6g} s did not converge, even with substeps of "
-        f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s. The motion is too fast for the step: "
+        f"{step_s / 2 ** (TUNING.halving_levels - 1):.3g} s. The motion is too fast for the step: "
         f"use a step shorter than {step_s:.3g} s, or a smaller amplitude."
     )
-    return FailedSimulation(time_s=step * step_s, step=step, reason=reason)
+    return FailedSimulation(reason, time_s=step * step_s, step=step)

@@ -8,3 +8,7 @@ Conventions: world in mm, x right, y up, origin at the clamp; image in px, x rig
 Angles are counter-clockwise as seen; at 0 a marker is upright. Frame times are the middles of the exposures, and the
 true centres are those at these times.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.render.camera import Camera
+from sim.render.camera import Camera, Poses
 from sim.render.frames import render_ideal
 from sim.render.markers import ArucoMarker, Marker
-from sim.render.motion import Poses
 from sim.render.scene import Scene
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# steps of the central differences, whose relative error is of the order of (step / lens blur)^2
-_STEP_PX = 0.01
-_STEP_RAD = 1e-3
+
+@dataclass(frozen=True)
+class Tuning:
+    """Finite differences."""
+
+    #: [px] step of the central differences of a position
+    #: physics: Their relative error is of the order of (step / lens blur)^2: 3e-4 at 0.6 px.
+    step_px: float = 0.01
+    #: [rad] step of the central differences of the angle
+    #: physics: 0.05 px at the edge of a marker of 100 px.
+    step_rad: float = 1e-3
+
+
+TUNING = Tuning()
 # positions within the pixel over which the bound is averaged
 _PHASES = (0.0, 0.37, 0.61)
 # of rounding to whole counts
@@ -60,10 +70,10 @@ def _variances_px2(marker: Marker, camera: Camera, path_px: float, direction_rad
     # (x, y, angle): at rest, then a step ahead and one behind for each unknown pose
     steps = [np.zeros(3)]
     for direction in (along, across):
-        step = np.array([*(_STEP_PX * direction), 0.0])
+        step = np.array([*(TUNING.step_px * direction), 0.0])
         steps += [step, -step]
     if isinstance(marker, ArucoMarker):
-        step = np.array([0.0, 0.0, _STEP_RAD])
+        step = np.array([0.0, 0.0, TUNING.step_rad])
         steps += [step, -step]
     positions = np.array([np.array([phase, -phase, 0.0]) + step for phase in _PHASES for step in steps])
     images = _images(marker, camera, positions, path_px * along)
@@ -74,7 +84,7 @@ def _variance_px2(images: FloatArray, camera: Camera) -> float:
     """From the image at rest and pairs of images one step ahead and one behind for each unknown."""
     middle, ahead, behind = images[0], images[1::2], images[2::2]
     # only the step of the position matters: scaling another column does not change the result
-    slopes = [*(ahead - behind) / (2.0 * _STEP_PX), middle, np.ones_like(middle)]
+    slopes = [*(ahead - behind) / (2.0 * TUNING.step_px), middle, np.ones_like(middle)]
     seen = (middle < camera.max_count) & (middle >= 0.0)
     jacobian = np.array([s[seen] for s in slopes])
     variance = camera.read_noise_sd**2 + camera.noise_gain * middle[seen] + _ROUNDING_VARIANCE

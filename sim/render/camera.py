@@ -1,15 +1,29 @@
-"""The modelled camera: geometry, exposure, lens and noise."""
+"""The modelled camera: geometry, exposure, lens and noise.
+
+Positions and angles of points at any time.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray, checked
 
-# below this the quadrature over a pixel would need too many points
-MIN_LENS_BLUR_PX = 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Limits of the model."""
+
+    #: [px] lens blur below which a camera is refused
+    #: convention: A pixel then takes 16 x 16 points (`order_for`); below, more. Real lenses blur more.
+    least_lens_blur_px: float = 0.1
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,23 +83,10 @@ class Camera:
         if not np.all(np.isfinite(self.origin_px)):
             msg = f"origin_px must be finite, got {self.origin_px}"
             raise ValueError(msg)
-        lowest = {
-            "exposure_s": 0.0,
-            "lens_blur_px": MIN_LENS_BLUR_PX,
-            "read_noise_sd": 0.0,
-            "noise_gain": 0.0,
-            "background": 0.0,
-            "flicker_sd": 0.0,
-            "vignetting": 0.0,
-        }
-        for name, bound in lowest.items():
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= bound):
-                msg = f"{name} must be finite and at least {bound}, got {value}"
-                raise ValueError(msg)
-        if not (np.isfinite(self.mm_per_px) and self.mm_per_px > 0.0):
-            msg = f"mm_per_px must be finite and positive, got {self.mm_per_px}"
-            raise ValueError(msg)
+        for name in ("exposure_s", "read_noise_sd", "noise_gain", "background", "flicker_sd", "vignetting"):
+            checked(name, getattr(self, name), at_least=0.0)
+        checked("lens_blur_px", self.lens_blur_px, at_least=TUNING.least_lens_blur_px)
+        checked("mm_per_px", self.mm_per_px, positive=True)
         if self.vignetting >= 1.0:
             msg = f"vignetting must be below 1, got {self.vignetting}"
             raise ValueError(msg)
@@ -123,3 +124,74 @@ class Camera:
     def to_mm(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points in the world at pixel coordinates: the inverse of `to_px`."""
         return (x_px - self.origin_px[0]) * self.mm_per_px, (self.origin_px[1] - y_px) * self.mm_per_px
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Positions (x right, y up) and angles (counter-clockwise as seen; 0 is upright), shape (times, points)."""
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    angle_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.x_mm.ndim != 2 or not self.x_mm.shape == self.y_mm.shape == self.angle_rad.shape:
+            msg = (
+                "x_mm, y_mm and angle_rad need one common shape (times, points), got "
+                f"{self.x_mm.shape}, {self.y_mm.shape}, {self.angle_rad.shape}"
+            )
+            raise ValueError(msg)
+
+    def at(self, rows: slice) -> Poses:
+        """Poses at some of the times."""
+        return Poses(self.x_mm[rows], self.y_mm[rows], self.angle_rad[rows])
+
+
+class Motion(Protocol):
+    """A callable that gives the poses of its points at any times."""
+
+    def __call__(self, time_s: FloatArray) -> Poses:
+        """Poses at `time_s`, shape (k,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class SampledMotion:
+    """Dense samples of a motion, shape (n, m), at increasing times, interpolated by cubic splines.
+
+    The error is about ``(omega h)^4 / 384`` of the amplitude: 20 samples per cycle give 1e-5.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not match, values are not finite or times not increasing; or, in a call, if a time lies outside the
+        samples: nothing is extrapolated.
+    """
+
+    time_s: FloatArray
+    x_mm: FloatArray
+    y_mm: FloatArray
+    angle_rad: FloatArray
+    _spline: CubicSpline = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        samples = np.stack([self.x_mm, self.y_mm, self.angle_rad], axis=-1)
+        if samples.ndim != 3 or self.time_s.shape != samples.shape[:1]:
+            msg = f"samples need shape (times, points) for times {self.time_s.shape}, got {self.x_mm.shape}"
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(samples)) and np.all(np.diff(self.time_s) > 0.0)):
+            msg = "samples of a motion must be finite, at increasing times"
+            raise ValueError(msg)
+        object.__setattr__(self, "_spline", CubicSpline(self.time_s, samples, axis=0))
+
+    def __call__(self, time_s: FloatArray) -> Poses:
+        """Poses at `time_s`, shape (k,)."""
+        outside = (time_s < self.time_s[0]) | (time_s > self.time_s[-1])
+        if np.any(outside):
+            msg = (
+                f"the motion is sampled from {self.time_s[0]:g} to {self.time_s[-1]:g} s, but is needed at "
+                f"{time_s[outside][0]:g} s; include half the exposure before the first and after the last frame"
+            )
+            raise ValueError(msg)
+        values = self._spline(time_s)
+        return Poses(values[..., 0], values[..., 1], values[..., 2])

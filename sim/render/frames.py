@@ -10,18 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.render.camera import Camera
-from sim.render.kernels import add_marker, add_strip
+from sim.render.camera import Camera, Poses
+from sim.render.kernels import add_marker, add_strip, order_for, unit_rule
 from sim.render.markers import MarkerTable
-from sim.render.motion import Poses
-from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene, Strip
-from sim.render.strip.bare_strip import BareStrip
-from sim.render.strip.strip_image import StripImage
-from tracker.arrays import FloatArray
+from sim.render.strip import BareStrip, StripImage
+from tracker import FloatArray
 
-# frames whose poses are evaluated at a time: enough for an efficient call, little memory
-BLOCK = 64
+
+@dataclass(frozen=True)
+class Tuning:
+    """Memory."""
+
+    #: [frames] frames whose poses are evaluated at a time
+    #: convention: Enough for an efficient call, little memory; results do not depend on it.
+    block: int = 64
+
+
+TUNING = Tuning()
 
 
 def render_frames(
@@ -79,8 +85,8 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
     light = camera.light()
     times = np.asarray(frame_times_s, dtype=np.float64)
     parts = _Parts.of(scene, camera)
-    for start in range(0, times.size, BLOCK):
-        block = times[start : start + BLOCK]
+    for start in range(0, times.size, TUNING.block):
+        block = times[start : start + TUNING.block]
         orders = _exposure_orders(scene, camera, block)
         offsets = np.concatenate([[0], np.cumsum(orders)])
         nodes = [time + camera.exposure_s * unit_rule(n)[0] for time, n in zip(block, orders, strict=True)]

@@ -1,18 +1,47 @@
-"""Compiled kernels that add blurred markers and strips to a frame, integrated over each pixel."""
+"""Compiled kernels that add blurred markers and strips to a frame, integrated over each pixel.
+
+Number of Gauss-Legendre points that integrate a blurred image over a pixel or an exposure.
+
+Compiled kernel that adds a bare strip to a frame, integrated over each pixel.
+"""
 
 from __future__ import annotations
 
-from math import ceil, cos, factorial, floor, hypot, sin, sqrt
+from dataclasses import dataclass
+from functools import cache
+from math import ceil, cos, exp, factorial, floor, hypot, lgamma, log, sin, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.polynomial import hermite
 from scipy.special import erf
 
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
-# As in sim.render.markers: standard deviations beyond which a blurred edge is complete.
-REACH = 5.5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Accuracy of the integrals."""
+
+    #: [sd] distance beyond which a blurred edge is complete
+    #: physics: ndtr(-5.5) = 2e-8 of the contrast, 5e-6 counts of 8 bit.
+    reach: float = 5.5
+    #: [contrasts] largest error of one integral over a pixel or an exposure
+    #: physics: 0.001 counts of 8 bit: a thousandth of the rounding to whole counts.
+    error: float = 4.0e-6
+    #: [1] points of one integral; more are refused
+    #: convention: Chosen: the blur is then too small for the span.
+    most_points: int = 64
+    #: [sd] longest panel of an integral along or across a bare strip
+    #: convention: Longer panels save few points.
+    panel: float = 10.0
+    #: [1] bound of the error of a panel
+    #: physics: It holds for the worst place of a Gaussian and exceeds the error by 20 or more: 1e-6 of the contrast.
+    panel_error: float = 2.0e-5
+
+
+TUNING = Tuning()
+_REACH = TUNING.reach
 # Nodes per unit of the error function's Taylor series: within half a step of 1 / 64 the first omitted term is 3e-16.
 # The C library's erf takes four times as long. Beyond 6 it is 1 to 2e-17.
 _ERF_NODES = 64
@@ -128,7 +157,7 @@ def add_rectangle(
         return
     tx, ty = (x1 - x0) / length, (y1 - y0) / length
     scale = 1.0 / (sqrt(2.0) * sigma)
-    reach = half_width + REACH * sigma
+    reach = half_width + _REACH * sigma
     margin = reach + 0.5
     first_row = max(0, ceil(min(y0, y1) - margin))
     last_row = min(rows - 1, floor(max(y0, y1) + margin))
@@ -145,7 +174,7 @@ def add_rectangle(
                     if across > reach:
                         continue
                     along = dx * tx + dy * ty
-                    if along < -REACH * sigma or along > length + REACH * sigma:
+                    if along < -_REACH * sigma or along > length + _REACH * sigma:
                         continue
                     value = fast_erf((half_width - across) * scale) + fast_erf((half_width + across) * scale)
                     value *= fast_erf(along * scale) + fast_erf((length - along) * scale)
@@ -199,3 +228,138 @@ def add_strip(
                     weights,
                 )
             seen = after
+
+
+def order_for(span_over_sigma: float) -> int:
+    """Gauss-Legendre order that averages a Gaussian-blurred edge over a span, given in standard deviations of the blur.
+
+    Raises
+    ------
+    ValueError
+        If more than 64 points would be needed: the blur is too small for the span.
+
+    Notes
+    -----
+    The remainder of the n-point rule over a span d is ``d^(2n) (n!)^4 / ((2n+1) ((2n)!)^3) |f^(2n)|`` for the
+    average. For an edge blurred by a Gaussian, ``f^(2n) = He_(2n-1)(z) phi(z) / sigma^(2n)``, and Cramér's
+    inequality bounds ``|He_m phi|`` by ``1.0865 sqrt(m!) / sqrt(2 pi)`` (Abramowitz & Stegun 22.14.17, 25.4.30).
+    """
+    return _order(span_over_sigma, 0, TUNING.error)
+
+
+def panels(low: float, high: float, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Points in (low, high) and their weights, which integrate a Gaussian of standard deviation `sigma` anywhere.
+
+    In panels of at most 10 sigma; the order is chosen as in `order_for`, for the Gaussian, the derivative of the edge.
+    """
+    count = max(1, ceil((high - low) / (TUNING.panel * sigma)))
+    width = (high - low) / count
+    nodes, weights = unit_rule(_order(width / sigma, 1, TUNING.panel_error))
+    middles = low + width * (np.arange(count) + 0.5)
+    return (middles[:, None] + width * nodes).ravel(), np.tile(width * weights, count)
+
+
+def _order(span_over_sigma: float, derivative: int, tolerance: float) -> int:
+    """Order for an edge, or for its derivative, the Gaussian, integrated over the span."""
+    if span_over_sigma == 0.0:
+        return 1
+    for n in range(1, TUNING.most_points + 1):
+        log_error = (
+            (2 * n + derivative) * log(span_over_sigma)
+            + 4 * lgamma(n + 1)
+            - log(2 * n + 1)
+            - 3 * lgamma(2 * n + 1)
+            + log(0.4334)
+            + 0.5 * lgamma(2 * n + derivative)
+        )
+        if log_error < log(tolerance):
+            return n
+    msg = (
+        f"a span of {span_over_sigma:.1f} standard deviations of the lens blur needs more than "
+        f"{TUNING.most_points} points (error {exp(log_error):.1e}, wanted {tolerance:.1e}): raise lens_blur_px, or "
+        "shorten the exposure"
+    )
+    raise ValueError(msg)
+
+
+def unit_rule(order: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes in (-1/2, 1/2) and weights that sum to 1, each of shape (order,)."""
+    nodes, weights = _rule(order)
+    # kernels with explicit signatures need writable arrays, and the cached ones must not change
+    return nodes.copy(), weights.copy()
+
+
+@cache
+def _rule(order: int) -> tuple[FloatArray, FloatArray]:
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    return 0.5 * nodes, 0.5 * weights
+
+
+@njit(cache=True)
+def pixel_weights(at: float, count: int, reach: float, scale: float, weights: FloatArray) -> tuple[int, int]:
+    """Shares `weights` of a blurred point at `at` in the pixels within `reach` of it, of a line of `count` pixels.
+
+    Returns the first of these pixels and their number.
+    """
+    first, last = max(0, ceil(at - reach)), min(count - 1, floor(at + reach))
+    before = fast_erf((first - 0.5 - at) * scale)
+    for k in range(last - first + 1):
+        after = fast_erf((first + k + 0.5 - at) * scale)
+        weights[k] = 0.5 * (after - before)
+        before = after
+    return first, max(0, last - first + 1)
+
+
+@njit(cache=True)
+def add_strip_points(
+    image: FloatArray,
+    along: FloatArray,
+    across: FloatArray,
+    surface: FloatArray,
+    surface_grid: tuple[float, float, float, float],
+    backdrop: FloatArray,
+    backdrop_grid: tuple[float, float, float, float],
+    background: float,
+    sigma: float,
+) -> None:
+    """Add what a strip changes of the background: a sum over points of its surface, each blurred and seen by pixels.
+
+    Parameters
+    ----------
+    image : array, shape (height, width)
+    along : array, shape (n, 7)
+        Points of the centreline: x, y, tangent (x, y) in the image, curvature per px (positive turns left, seen with y
+        upwards), distance along the strip, weight.
+    across : array, shape (m, 2)
+        Distances to the left of the centreline, in px, and weights.
+    surface, backdrop : array
+        Counts of the strip at (distance to the left, distance along); counts above `background` at (y, x). Empty: 0.
+    surface_grid, backdrop_grid : tuple of float
+        First value and reciprocal step of the rows, and of the columns, of each.
+    sigma : float
+        Lens blur in px.
+    """
+    height, width = image.shape
+    reach = 0.5 + _REACH * sigma
+    scale = 1.0 / (sqrt(2.0) * sigma)
+    in_x, in_y = np.empty(int(2.0 * reach) + 3), np.empty(int(2.0 * reach) + 3)
+    for i in range(along.shape[0]):
+        tx, ty, curvature, distance = along[i, 2], along[i, 3], along[i, 4], along[i, 5]
+        surface_column = (distance - surface_grid[2]) * surface_grid[3]
+        for j in range(across.shape[0]):
+            left = across[j, 0]
+            x, y = along[i, 0] + left * ty, along[i, 1] - left * tx
+            if x < -reach or y < -reach or x > width - 1 + reach or y > height - 1 + reach:
+                continue
+            value = interpolate(surface, (left - surface_grid[0]) * surface_grid[1], surface_column)
+            value -= background
+            if backdrop.size:
+                row = (y - backdrop_grid[0]) * backdrop_grid[1]
+                value -= interpolate(backdrop, row, (x - backdrop_grid[2]) * backdrop_grid[3])
+            value *= along[i, 6] * across[j, 1] * (1.0 - curvature * left)
+            first_row, rows = pixel_weights(y, height, reach, scale, in_y)
+            first_column, columns = pixel_weights(x, width, reach, scale, in_x)
+            for k in range(rows):
+                share = value * in_y[k]
+                for q in range(columns):
+                    image[first_row + k, first_column + q] += share * in_x[q]

@@ -1,4 +1,7 @@
-"""Markers, as finely sampled images through the lens."""
+"""Markers, as finely sampled images through the lens.
+
+A random pattern on a surface, whose image through a lens is known in closed form.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,26 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import i0e, ndtr
 
-from tracker.arrays import FloatArray
+from sim.render.kernels import TUNING as KERNELS
+from tracker import FloatArray, checked
 
-# standard deviations beyond which a blurred edge is complete: ndtr(-5.5) = 2e-8
-REACH = 5.5
-# samples per standard deviation of the blur: cubic interpolation is then exact to 6e-7 of the contrast
-# (0.0234 h^4 f'''' with f'''' = 0.55 / sigma^4)
-SAMPLES_PER_SIGMA = 12
+
+@dataclass(frozen=True)
+class Tuning:
+    """Accuracy of the tables."""
+
+    #: [per sd] samples of a marker's image per standard deviation of the blur
+    #: physics: Cubic interpolation is exact to 0.0234 h^4 f'''' with f'''' = 0.55 / sigma^4: 6e-7 of the contrast.
+    samples: int = 12
+    #: [per grain] samples of a texture per correlation length
+    #: physics: Cubic interpolation is exact to 0.0234 h^4 3 / g^4: 2e-5 of the sd.
+    grain_samples: int = 8
+    #: [1] waves in a texture
+    #: convention: Enough for a nearly normal distribution of gray levels: the excess kurtosis is -1.5 / 96.
+    waves: int = 96
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -72,7 +88,8 @@ class DotMarker:
     quiet_zone_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_sizes(self.diameter_mm, self.quiet_zone_mm, "diameter_mm")
+        checked("diameter_mm", self.diameter_mm, positive=True)
+        checked("quiet_zone_mm", self.quiet_zone_mm, at_least=0.0)
 
     @property
     def half_extent_mm(self) -> float:
@@ -118,7 +135,8 @@ class ArucoMarker:
     background: float = 200.0
 
     def __post_init__(self) -> None:
-        _check_sizes(self.size_mm, self.quiet_zone_mm, "size_mm")
+        checked("size_mm", self.size_mm, positive=True)
+        checked("quiet_zone_mm", self.quiet_zone_mm, at_least=0.0)
         aruco_cells(self.dictionary, self.marker_id)
 
     @property
@@ -188,15 +206,65 @@ def blurred_disc(radius_px: FloatArray, disc_px: float, sigma_px: float) -> Floa
 
 
 def _grid(half_px: float, sigma_px: float) -> tuple[FloatArray, float]:
-    step = sigma_px / SAMPLES_PER_SIGMA
-    n = int(np.ceil((half_px + REACH * sigma_px) / step))
+    step = sigma_px / TUNING.samples
+    n = int(np.ceil((half_px + KERNELS.reach * sigma_px) / step))
     return np.arange(-n, n + 1, dtype=np.float64) * step, step
 
 
-def _check_sizes(size_mm: float, quiet_zone_mm: float, name: str) -> None:
-    if not (np.isfinite(size_mm) and size_mm > 0.0):
-        msg = f"{name} must be finite and positive, got {size_mm}"
-        raise ValueError(msg)
-    if not (np.isfinite(quiet_zone_mm) and quiet_zone_mm >= 0.0):
-        msg = f"quiet_zone_mm must be finite and not negative, got {quiet_zone_mm}"
-        raise ValueError(msg)
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """Random pattern of gray levels with mean 0, the same for the same seed.
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation in counts.
+    grain_mm : float
+        Correlation length g: the correlation at distance r is ``exp(-r^2 / (2 g^2))``.
+    seed : int
+
+    Notes
+    -----
+    A sum of waves with random directions, lengths and phases and equal amplitudes (Rahimi and Recht, Random features
+    for large-scale kernel machines, 2007). A Gaussian point spread function multiplies each wave by a number.
+    """
+
+    sd: float
+    grain_mm: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checked("sd of a texture", self.sd, at_least=0.0)
+        checked("grain_mm of a texture", self.grain_mm, positive=True)
+
+    @property
+    def step_mm(self) -> float:
+        """Distance of samples between which cubic interpolation is exact to ``0.0234 h^4 3 / g^4``: 2e-5 of `sd`."""
+        return self.grain_mm / TUNING.grain_samples
+
+    def on_grid(
+        self,
+        x_mm: FloatArray,
+        y_mm: FloatArray,
+        *,
+        box_mm: float = 0.0,
+        blur_mm: float = 0.0,
+    ) -> FloatArray:
+        """Counts at all pairs of `x_mm`, (c,), and `y_mm`, (r,), shape (r, c).
+
+        Averaged over a square of the side `box_mm` and blurred by a Gaussian of the standard deviation `blur_mm`.
+        """
+        rng, waves = np.random.default_rng(self.seed), TUNING.waves
+        # an even spread of wave lengths, whatever the seed
+        radius = np.sqrt(-2.0 * np.log((np.arange(waves) + 0.5) / waves)) / self.grain_mm
+        direction = np.pi * (np.arange(waves) * (np.sqrt(5.0) - 1.0) + rng.uniform())
+        phase = rng.uniform(0.0, 2.0 * np.pi, waves)
+        kx, ky = radius * np.cos(direction), radius * np.sin(direction)
+        amplitude = self.sd * np.sqrt(2.0 / waves) * np.exp(-0.5 * (blur_mm * radius) ** 2)
+        amplitude *= np.sinc(kx * box_mm / (2.0 * np.pi)) * np.sinc(ky * box_mm / (2.0 * np.pi))
+        along_y = np.asarray(y_mm)[:, None] * ky
+        along_x = np.asarray(x_mm)[:, None] * kx + phase
+        return np.asarray(
+            (np.cos(along_y) * amplitude) @ np.cos(along_x).T
+            - (np.sin(along_y) * amplitude) @ np.sin(along_x).T
+        )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.render.markers import Marker
-from sim.render.motion import Motion
-from sim.render.strip.bare_strip import BareStrip
-from sim.render.texture import Texture
+from sim.render.camera import Motion
+from sim.render.markers import Marker, Texture
+from sim.render.strip import BareStrip
+from tracker import checked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +32,7 @@ class Strip:
     motion: Motion
 
     def __post_init__(self) -> None:
-        if not self.width_mm > 0.0:
-            msg = f"width_mm of a strip must be positive, got {self.width_mm}"
-            raise ValueError(msg)
+        checked("width_mm of a strip", self.width_mm, positive=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,21 +7,24 @@ from functools import partial
 
 import numpy as np
 
-from modal_id.results import Identification
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
-from sim.comparison.matching import match_modes
-from sim.comparison.problem import decay_setting
+from modal_id import Identification
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError
+from sim.comparison import decay_setting, match_modes
 from sim.damping import DampingModel
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import FailedSimulation
-from tracker.arrays import FloatArray
+from sim.dynamics import FailedSimulation, fitted_modes, simulate
+from tracker import Failure, FloatArray
 
-_MODES = 8
-# steps beyond the times requested: for a frame's exposure and the ends of a spline
-_SPARE_STEPS = 8
+
+@dataclass(frozen=True)
+class Tuning:
+    """Length of the simulation."""
+
+    #: [steps] steps simulated beyond the times requested
+    #: physics: For the exposure of a frame, 4 ms at 0.5 ms, and three points of a spline's end.
+    spare_steps: int = 8
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -56,28 +59,28 @@ def simulated_motion(
     positions_m: FloatArray,
     from_s: float,
     until_s: float,
-    highest_mode: int = _MODES,
-) -> SimulatedMotion | FailedSimulation | str:
+    highest_mode: int = 0,
+) -> SimulatedMotion | Failure:
     """Simulate a recorded decay from the state fitted at ``onset.fit_from_s``, at the measured frequencies.
 
     Of points at the distances `positions_m`, (k,), from the clamp, in a part of the recording not before the beginning
-    of the fit; a text is the reason why there is none. `highest_mode` is that of the damping model.
+    of the fit. `highest_mode` is that of the damping model.
     """
     beam = AncfBeam(properties)
     try:
-        modes = beam_modes(beam, min(max(_MODES, highest_mode + 1), 2 * properties.elements))
+        modes = fitted_modes(beam, highest_mode + 1)
         matched = match_modes(identification, modes)
-        if isinstance(matched, str):
+        if isinstance(matched, Failure):
             return matched
         setting = decay_setting(beam, modes, identification, matched)
         state = setting.start()
     except (BuckledBeamError, NoEquilibriumError) as error:
-        return str(error)
+        return Failure(str(error))
     step_s, start_s = setting.step_s, identification.onset.fit_from_s
     moved = partial(
         simulate, beam, damping, step_s=step_s, modes=modes, target_omega_rad_s=setting.omega_rad_s
     )
-    before = max(0, int((from_s - start_s) / step_s) - _SPARE_STEPS)
+    before = max(0, int((from_s - start_s) / step_s) - TUNING.spare_steps)
     if before:
         # only the final state is needed
         skipped = moved(
@@ -87,7 +90,7 @@ def simulated_motion(
             return skipped
         state = skipped.final
     first_s = start_s + before * step_s
-    steps = max(4, int(np.ceil((until_s - first_s) / step_s)) + _SPARE_STEPS)
+    steps = max(4, int(np.ceil((until_s - first_s) / step_s)) + TUNING.spare_steps)
     run = moved(state=state, duration_s=steps * step_s, output_positions_m=positions_m)
     if isinstance(run, FailedSimulation):
         return run

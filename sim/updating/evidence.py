@@ -16,20 +16,37 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from sim.beam.properties import BeamProperties
+from sim.beam import BeamProperties
 from sim.updating.bayesian import whiten
-from sim.updating.least_squares import Misfit
+from sim.updating.least_squares import Misfit, uniform_basis
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.posterior import draw, maximum
-from sim.updating.prior import SmoothPrior
-from sim.updating.uniform_beam import uniform_basis
-from tracker.arrays import FloatArray
+from sim.updating.posterior import SmoothPrior, draw, maximum
+from tracker import FloatArray
 
-DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
+
+@dataclass(frozen=True)
+class Tuning:
+    """The discrepancies integrated over, and when models are undecided."""
+
+    #: [1] largest discrepancy between model and beam, a relative sd of the frequencies
+    #: convention: Chosen: a beam with more is another beam.
+    largest: float = 0.1
+    #: [1] smallest discrepancy
+    #: convention: The stated error of the model (model_sd).
+    smallest: float = 1e-4
+    #: [1] discrepancies, equally spaced in their logarithm
+    #: convention: Two a decade; chosen: the evidence changes slowly with the discrepancy.
+    grid: int = 7
+    #: [1] draws that check Laplace's approximation at the likely discrepancy
+    #: measurement: They agree with it within 0.2 (docs/theory.md); their own standard error is on the result.
+    check_draws: int = 32
+    #: [1] odds between two models below which neither is favoured
+    #: convention: Jeffreys: odds below 3.2 are worth no more than a mention (Kass, Raftery 1995, doi:10.2307/2291091).
+    undecided_odds: float = 3.0
+
+
+TUNING = Tuning()
 _DEFAULT_PRIOR = SmoothPrior()
-_CHECK_DRAWS = 32
-# difference of log evidence below which neither of two models is favoured: odds of 3 to 1
-_UNDECIDED = float(np.log(3.0))
 
 
 @dataclass(frozen=True)
@@ -93,7 +110,9 @@ class ModelComparison:
     def undecided(self) -> tuple[str, ...]:
         """Names of the models within odds of 3 of the most probable one, which is the first."""
         best = self.models[0].log_evidence
-        return tuple(m.name for m in self.models if best - m.log_evidence < _UNDECIDED)
+        return tuple(
+            m.name for m in self.models if best - m.log_evidence < float(np.log(TUNING.undecided_odds))
+        )
 
     def odds(self, name: str) -> float:
         """Log odds of the most probable model against the model `name`."""
@@ -139,14 +158,16 @@ def _evidence(
     name: str, beam: BeamProperties, measured: MeasuredModes, basis: FloatArray, seed: int
 ) -> ModelEvidence:
     z, laplace, tops = np.zeros(basis.shape[1]), [], []
-    misfits = [Misfit.of(beam, replace(measured, model_sd=sd)) for sd in DISCREPANCIES]
+    powers = np.linspace(np.log10(TUNING.largest), np.log10(TUNING.smallest), TUNING.grid)
+    discrepancies = tuple(float(10.0**power) for power in powers)
+    misfits = [Misfit.of(beam, replace(measured, model_sd=sd)) for sd in discrepancies]
     for misfit in misfits:
         top = maximum(whiten(misfit, basis), z)
         z = top.z
         laplace.append(top.log_evidence(misfit.log_normalisation))
         tops.append(top)
     at = int(np.argmax(laplace))
-    drawn = draw(whiten(misfits[at], basis), tops[at], _CHECK_DRAWS, np.random.default_rng(seed))
+    drawn = draw(whiten(misfits[at], basis), tops[at], TUNING.check_draws, np.random.default_rng(seed))
     value, sd = drawn.log_evidence(misfits[at].log_normalisation)
     misfit = Misfit.of(beam, measured)
     stated = maximum(whiten(misfit, basis), z)
@@ -155,12 +176,12 @@ def _evidence(
         name=name,
         parameters=int(basis.shape[1]),
         log_evidence=_over_discrepancies(np.array(laplace)),
-        likely_discrepancy=DISCREPANCIES[at],
-        discrepancy=np.array(DISCREPANCIES),
+        likely_discrepancy=discrepancies[at],
+        discrepancy=np.array(discrepancies),
         log_evidence_laplace=np.array(laplace),
         log_evidence_drawn=value,
         log_evidence_drawn_sd=sd,
-        effective_share=drawn.effective / _CHECK_DRAWS,
+        effective_share=drawn.effective / TUNING.check_draws,
         log_evidence_stated=stated.log_evidence(misfit.log_normalisation),
         largest_error=float(np.max(np.abs(off))),
     )

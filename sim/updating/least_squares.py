@@ -2,37 +2,95 @@
 
 The factors are those of the paper: of the width and thickness of each element, of density and modulus, between 1 -
 bound and 1 + bound. Of the many solutions the one nearest to the start is chosen: undetermined factors do not change.
+
+The paper's updating method: 42 variables within 10 %, no gravity, least squares from the standard beam.
+
+Uniform change of the properties along the beam, and the combinations of properties that the data determine.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.linalg import solve_triangular
 
-from sim.beam.properties import BeamProperties
-from sim.updating.beam_family import BeamFamily
+from sim.beam import BeamProperties
+from sim.updating.family import BeamFamily
 from sim.updating.measured_modes import MeasuredModes
-from tracker.arrays import FloatArray
+from tracker import FloatArray, IntArray, checked
 
-# weight of the distance from the start, in bounds, relative to misfits in standard deviations: it determines only what
-# the data do not, and shifts the frequencies by less than 1e-7
-_PULL = 0.01
-_MAX_ITERATIONS = 40
-_SMALLEST_SHARE = 1e-3
-_MOVE_TOLERANCE = 1e-6
-_LARGEST_BOUND = 0.9
-# steps of the linear programs, as relative changes
-_FIRST_REACH = 0.2
-_SMALLEST_REACH = 1e-8
-_SMALLEST_GAIN = 1e-9
-_MOST_PROGRAMS = 100
-_REACHED = 1e-7
-# penalty of a relative deviation of a frequency in units of the bound, increased until the frequencies are reached
-_PRICES = (2.0, 10.0, 50.0)
+
+@dataclass(frozen=True)
+class Tuning:
+    """Least squares within a bound, linear programs, and what counts as known."""
+
+    #: [sd per bound] weight of the distance from the start against the misfits
+    #: physics: Determines only what the data do not; it shifts the frequencies by less than 1e-7.
+    pull: float = 0.01
+    #: [1] Gauss-Newton iterations
+    #: convention: Chosen, not derived.
+    iterations: int = 40
+    #: [1] share of a step below which it is not halved again: the point counts as the solution
+    #: convention: Nine halvings; chosen.
+    smallest_share: float = 1e-3
+    #: [1] largest change of a factor at convergence
+    #: physics: A hundredth of model_sd.
+    settled: float = 1e-6
+    #: [1] largest bound that the linear programs may reach; beyond, there is none
+    #: physics: A factor below 0.1 has no meaning.
+    largest_bound: float = 0.9
+    #: [1] trust region of the linear programs at the start and at most, as a change of a factor
+    #: convention: Chosen: frequencies are close to linear in the logarithms over some per cent.
+    first_reach: float = 0.2
+    #: [1] growth of the trust region after a program that improved
+    #: convention: Chosen, not derived.
+    grows: float = 2.0
+    #: [1] factor on the trust region after one that did not
+    #: convention: Chosen, not derived.
+    shrinks: float = 0.25
+    #: [1] trust region below which the programs end
+    #: physics: A tenth of the accuracy at which the frequencies count as reached.
+    smallest_reach: float = 1e-8
+    #: [1] gain below which the programs end
+    #: physics: A hundred-millionth of a bound of 10 %: below what is printed.
+    smallest_gain: float = 1e-9
+    #: [1] linear programs at one price
+    #: convention: Chosen, not derived.
+    programs: int = 100
+    #: [1] relative deviation of every frequency below which they count as reached
+    #: physics: A thousandth of model_sd.
+    reached: float = 1e-7
+    #: [1 / bound] first penalty of a relative deviation of a frequency
+    #: convention: Chosen: frequencies change about as the factors do, so that a price above 1 suffices where they are
+    #: linear.
+    price: float = 2.0
+    #: [1] growth of the penalty where the frequencies are not reached
+    #: convention: Chosen, not derived.
+    price_growth: float = 5.0
+    #: [1] penalties tried before no bound is found
+    #: convention: Chosen, not derived.
+    prices: int = 3
+    #: [1] distance of a factor from its bound at which it is listed as at the bound
+    #: physics: The accuracy of the factors at convergence.
+    at_bound: float = 1e-6
+    #: [1] further random starts, whose scatter shows what the data leave open
+    #: convention: Chosen for time: each costs as much as the update.
+    other_starts: int = 4
+    #: [1] sd of a combination over the bound below which it counts as determined
+    #: physics: Half the bound is the sd of the prior: the data then say more.
+    known_share: float = 0.5
+    #: [1] relative sd of every frequency for the uniform update
+    #: convention: A uniform beam misfits by some per cent, so all modes have equal weight whatever their precision.
+    discrepancy: float = 0.03
+    #: [1] singular value over the largest below which a combination counts as undetermined
+    #: physics: Above the rounding of exact slopes; chosen.
+    rounding: float = 1e-9
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -116,19 +174,19 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
     columns = np.eye(start.size) if free is None else free
     moved, p = np.zeros(columns.shape[1]), start.copy()
     low, high = (1.0 - bound - start, 1.0 + bound - start) if free is None else (-bound, bound)
-    pull = _PULL / bound
+    pull = TUNING.pull / bound
 
     def residual(change: FloatArray) -> FloatArray:
         return np.concatenate([misfit.at(np.log(start + columns @ change))[0][0], pull * change])
 
     now = residual(moved)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(TUNING.iterations):
         _, slopes = misfit.at(np.log(p), slopes=True)
         rows = np.vstack([slopes[0] / p @ columns, pull * np.eye(moved.size)])
         limits = (np.minimum(low - moved, -1e-13), np.maximum(high - moved, 1e-13))
         move = np.asarray(scipy.optimize.lsq_linear(rows, -now, bounds=limits, method="bvls").x)
         share = 1.0
-        while share > _SMALLEST_SHARE:
+        while share > TUNING.smallest_share:
             trial = np.clip(moved + share * move, low, high)
             then = residual(trial)
             if then @ then < now @ now:
@@ -138,7 +196,7 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
             return p
         moved, now = trial, then
         p = start + columns @ moved
-        if np.max(np.abs(share * move)) < _MOVE_TOLERANCE:
+        if np.max(np.abs(share * move)) < TUNING.settled:
             break
     return p
 
@@ -156,18 +214,18 @@ def smallest_bound(misfit: Misfit) -> tuple[float, FloatArray]:
     factor : array, shape (v,)
     """
     p = np.ones(misfit.family.variables)
-    for price in _PRICES:
-        p, off = _programs(misfit, p, price)
-        if np.max(np.abs(off)) < _REACHED:
+    for k in range(TUNING.prices):
+        p, off = _programs(misfit, p, TUNING.price * TUNING.price_growth**k)
+        if np.max(np.abs(off)) < TUNING.reached:
             return float(np.max(np.abs(p - 1.0))), p
     return float("nan"), p
 
 
 def _programs(misfit: Misfit, p: FloatArray, price: float) -> tuple[FloatArray, FloatArray]:
     """Successive linear programs from `p`; factors, and remaining deviations of the frequencies."""
-    reach = _FIRST_REACH
+    reach = TUNING.first_reach
     off, rows = _deviations(misfit, p)
-    for _ in range(_MOST_PROGRAMS):
+    for _ in range(TUNING.programs):
         step = _bounded_program(p, off, rows, reach, price)
         if step is None:
             break
@@ -176,10 +234,10 @@ def _programs(misfit: Misfit, p: FloatArray, price: float) -> tuple[FloatArray, 
         gain = _merit(p, off, price) - _merit(trial, then, price)
         if gain > 0.0:
             p, off, rows = trial, then, then_rows
-            reach = min(2.0 * reach, _FIRST_REACH)
+            reach = min(TUNING.grows * reach, TUNING.first_reach)
         else:
-            reach *= 0.25
-        if 0.0 < gain < _SMALLEST_GAIN or reach < _SMALLEST_REACH:
+            reach *= TUNING.shrinks
+        if 0.0 < gain < TUNING.smallest_gain or reach < TUNING.smallest_reach:
             break
     return p, off
 
@@ -208,6 +266,185 @@ def _bounded_program(
         b_ub=np.concatenate([1.0 - p, p - 1.0]),
         A_eq=np.hstack([rows, np.zeros((m, 1)), np.eye(m), -np.eye(m)]),
         b_eq=-off,
-        bounds=[(-reach, reach)] * size + [(0.0, _LARGEST_BOUND)] + [(0.0, None)] * (2 * m),
+        bounds=[(-reach, reach)] * size + [(0.0, TUNING.largest_bound)] + [(0.0, None)] * (2 * m),
     )
     return np.asarray(solved.x[:size]) if solved.success else None
+
+
+@dataclass(frozen=True)
+class PaperUpdate:
+    """Beam without gravity that fits the measured frequencies and shapes by least squares within a bound.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        Without gravity (``orientation = "none"``).
+    standard_hz, updated_hz : array, shape (m,)
+        Without gravity, before and after.
+    width_factor, thickness_factor : array, shape (ne,)
+    at_bound : tuple of str
+        Names of the variables at their bound.
+    smallest_bound : float
+        Bound below which the frequencies cannot be reached; NaN if none is found.
+    start_spread : array, shape (v,)
+        Standard deviation of each factor (widths, thicknesses, density, modulus) over solutions from random starts
+        within the bound, which fit equally well.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
+    """
+
+    properties: BeamProperties
+    mode_numbers: IntArray
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    width_factor: FloatArray
+    thickness_factor: FloatArray
+    density_factor: float
+    elastic_modulus_factor: float
+    bound: float
+    at_bound: tuple[str, ...]
+    smallest_bound: float
+    start_spread: FloatArray
+    shape_rms: float = float("nan")
+
+
+def update_like_paper(
+    properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10, seed: int = 0
+) -> PaperUpdate:
+    """Fit widths, thicknesses, density and modulus within `bound` to the measured modes, without gravity.
+
+    Minimises the sum of squared deviations of frequencies and shapes over their standard deviations. The problem has
+    infinitely many solutions; the one nearest to the standard beam is returned. Point masses are kept; `seed` is that
+    of the random starts.
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    """
+    checked("bound", bound, positive=True, at_most=0.5)
+    standard = replace(properties, orientation="none", angle_deg=None)
+    misfit = Misfit.of(standard, measured)
+    ne, one = standard.elements, np.ones(misfit.family.variables)
+    p = fit_within(misfit, one, bound)
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(1.0 - bound, 1.0 + bound, (TUNING.other_starts, one.size))
+    others = np.array([fit_within(misfit, start, bound) for start in starts])
+    return PaperUpdate(
+        properties=misfit.family.properties(np.log(p)),
+        mode_numbers=measured.mode_numbers,
+        standard_hz=misfit.frequency_hz(one),
+        updated_hz=misfit.frequency_hz(p),
+        width_factor=p[:ne].copy(),
+        thickness_factor=p[ne : 2 * ne].copy(),
+        density_factor=float(p[-2]),
+        elastic_modulus_factor=float(p[-1]),
+        bound=bound,
+        at_bound=_names_at_bound(p, bound),
+        smallest_bound=smallest_bound(misfit)[0],
+        start_spread=np.std(others, axis=0, ddof=1),
+        shape_rms=misfit.shape_rms(p),
+    )
+
+
+def variable_names(elements: int) -> tuple[str, ...]:
+    """Names of the variables in order: widths and thicknesses from the clamp on, density, modulus."""
+    fields = [f"{name} of element {e + 1}" for name in ("width", "thickness") for e in range(elements)]
+    return (*fields, "density", "elastic modulus")
+
+
+def _names_at_bound(p: FloatArray, bound: float) -> tuple[str, ...]:
+    at = np.abs(np.abs(p - 1.0) - bound) < TUNING.at_bound
+    names = variable_names((p.size - 2) // 2)
+    return tuple(f"{names[i]} ({100 * (p[i] - 1.0):+.0f} %)" for i in np.flatnonzero(at))
+
+
+@dataclass(frozen=True)
+class UniformUpdate:
+    """Uniform change of the properties with the least misfit, with gravity and equal weight of all modes.
+
+    Frequencies and shapes of a uniform beam without point masses depend on E h^2 / rho only (and on length and
+    gravity): they do not determine the width, nor E, h and rho separately.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        With a changed thickness only.
+    standard_hz, updated_hz : array, shape (m,)
+    thickness_factor, stiffness_factor : float
+        Factor on the thickness; its square, the factor on E h^2 / rho.
+    combinations : array, shape (4, 4)
+        Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data
+        distinguish, the best determined first.
+    combination_sd : array, shape (4,)
+        Standard deviation of the logarithm of each; infinite where undetermined.
+    known : int
+        Number of combinations with a standard deviation below half the bound.
+    largest_error : float
+        Largest remaining relative deviation of a frequency.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
+    """
+
+    properties: BeamProperties
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    thickness_factor: float
+    stiffness_factor: float
+    combinations: FloatArray
+    combination_sd: FloatArray
+    known: int
+    largest_error: float
+    shape_rms: float
+
+
+def update_uniform(
+    properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10
+) -> UniformUpdate:
+    """Best uniform change of the beam under gravity, of at most `bound`, and the combinations that the data determine.
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    BuckledBeamError
+        If a standing beam cannot carry its own weight.
+    """
+    checked("bound", bound, positive=True, at_most=0.5)
+    misfit = Misfit.of(properties, measured)
+    spread = uniform_basis(properties.elements)
+    one = np.ones(misfit.family.variables)
+    with_discrepancy = Misfit.of(
+        properties, replace(measured, model_sd=max(TUNING.discrepancy, measured.model_sd))
+    )
+    p = fit_within(with_discrepancy, one, bound, spread[:, [1]])
+    _, slopes = misfit.at(np.log(p), slopes=True)
+    rows = slopes[0] @ spread
+    _, values, combinations = np.linalg.svd(rows, full_matrices=True)
+    singular = np.zeros(4)
+    singular[: values.size] = np.where(values > TUNING.rounding * values[0], values, 0.0)
+    with np.errstate(divide="ignore"):
+        sd = 1.0 / singular
+    signs = np.sign(combinations[np.arange(4), np.argmax(np.abs(combinations), axis=1)])
+    factor = float(p[properties.elements])
+    updated_hz = misfit.frequency_hz(p)
+    return UniformUpdate(
+        properties=misfit.family.properties(np.log(p)),
+        standard_hz=misfit.frequency_hz(one),
+        updated_hz=updated_hz,
+        thickness_factor=factor,
+        stiffness_factor=factor**2,
+        combinations=combinations * signs[:, np.newaxis],
+        combination_sd=sd,
+        known=int(np.count_nonzero(sd < TUNING.known_share * bound)),
+        largest_error=float(np.max(np.abs(updated_hz / measured.frequency_hz - 1.0))),
+        shape_rms=misfit.shape_rms(p),
+    )
+
+
+def uniform_basis(elements: int) -> FloatArray:
+    """Matrix from (width, thickness, density, modulus) to all variables, shape (2 ne + 2, 4)."""
+    out = np.zeros((2 * elements + 2, 4))
+    out[:elements, 0] = out[elements : 2 * elements, 1] = 1.0
+    out[-2, 2] = out[-1, 3] = 1.0
+    return out

@@ -6,6 +6,10 @@ slope); those "of one direction" are (displacement, slope).
 
 Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse,
 so that both problems have half the size.
+
+Derivatives of ``left^T (K - square M) right`` with respect to the factors, with the change of the equilibrium.
+
+See `sim.updating.family` for the equations.
 """
 
 from __future__ import annotations
@@ -17,15 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.ancf import HELD_BY, AncfBeam, shape_functions
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import static_equilibrium
-from tracker.arrays import FloatArray
+from sim.beam import AncfBeam, BeamProperties, ancf, shape_functions, static_equilibrium, statics
+from tracker import FloatArray
 
 # of real or complex numbers
 Array = NDArray[Any]
 
-_MAX_ITERATIONS = 30
+
 _STRAIGHT = ("hanging", "standing", "none")
 
 
@@ -77,13 +79,8 @@ class BeamMatrices:
         """Integrals of N''N'' and N N over an element, (4, 4), and of N, (4,)."""
         h = self.beam.element_length_m
         nodes, weights = np.polynomial.legendre.leggauss(4)
-        at, w = 0.5 * (nodes + 1.0), 0.5 * h * weights
-        curve, value = shape_functions(at, h, 2), shape_functions(at, h)
-        return (
-            np.einsum("g,gk,gl->kl", w, curve, curve),
-            np.einsum("g,gk,gl->kl", w, value, value),
-            w @ value,
-        )
+        value = 0.5 * h * weights @ shape_functions(0.5 * (nodes + 1.0), h)
+        return self.beam.integral(2, 4), self.beam.integral(0, 4), value
 
     @cached_property
     def straight(self) -> bool:
@@ -125,27 +122,15 @@ class BeamMatrices:
     @cached_property
     def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Matrices of one direction that the factors do not change: point masses, clamp springs, held translation."""
-        p, size = self.standard, 2 * (self.standard.elements + 1)
-        mass, springs, held = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
-        for point in p.point_masses:
-            for inertia, derivative in ((point.mass_kg, 0), (point.rotary_inertia_kg_m2, 1)):
-                at = np.zeros(size)
-                at[self.held :] = self.beam.interpolation(np.array([point.position_m]), derivative)[0]
-                mass += inertia * np.outer(at, at)
+        p, mass = self.standard, self.beam.point_masses_kg
+        springs, held = np.zeros_like(mass), np.zeros_like(mass)
         if p.clamp is not None:
             springs[1, 1] = p.clamp.rotation_n_m_rad
             if p.clamp.translation_n_m is None:
-                held[0, 0] = HELD_BY / self.beam.element_length_m
+                held[0, 0] = ancf.TUNING.held_by / self.beam.element_length_m
             else:
                 springs[0, 0] = p.clamp.translation_n_m
         return mass, springs, held
-
-    def gravity(self) -> FloatArray:
-        """Along and across, m/s2."""
-        if self.standard.orientation == "none":
-            return np.zeros(2)
-        beam = self.beam
-        return -self.standard.gravity_m_s2 * np.array([beam.axis[1], beam.transverse[1]])
 
     def gathered(self, by_element: Array) -> Array:
         """Sum over the elements, the transpose of `AncfBeam.elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
@@ -206,7 +191,7 @@ class BeamMatrices:
         """Weight minus elastic force over all coordinates, shape (n, 4 (ne + 1))."""
         strain, turned = self.beam.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
-        gravity = self.gravity()
+        gravity = self.beam.gravity_m_s2
         force = mass[:, :, np.newaxis, np.newaxis] * np.outer(gravity, self.units[2])
         force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
         force = force - bend[:, :, np.newaxis, np.newaxis] * (self.beam.elements(q) @ self.units[0])
@@ -227,14 +212,16 @@ class BeamMatrices:
     def _equilibrium(self, bend: Array, axial: Array, mass: Array) -> Array:
         """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method does not converge."""
         q = np.repeat(self._start[np.newaxis].astype(bend.dtype), bend.shape[0], axis=0)
-        if not np.any(self.gravity()):
+        if not np.any(self.beam.gravity_m_s2):
             return q
         free = self.free(self.static)
         scale = np.repeat(self.scale[self.held :], len(self.static))
-        small = 1e-12 * self.standard.length_m
+        small, stalled = (
+            x * self.standard.length_m for x in (statics.TUNING.settled, statics.TUNING.stalled)
+        )
         previous = np.full(bend.shape[0], np.inf)
         done = np.zeros(bend.shape[0], dtype=np.bool_)
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(statics.TUNING.family_iterations):
             todo = np.flatnonzero(~done)
             parts = bend[todo], axial[todo]
             tangent = self._stiffness(*parts, q[todo], self.static)
@@ -242,9 +229,10 @@ class BeamMatrices:
             move = scaled_solve(tangent, residual[:, :, np.newaxis], scale)[:, :, 0]
             size = np.max(np.abs(move * scale), axis=1)
             q[todo[:, np.newaxis], free] += move
-            done[todo] = (size < small) | ((size < 100.0 * small) & (size > 0.5 * previous[todo]))
-            done[todo] |= ~(size < 10.0 * self.standard.length_m)
-            q[todo[~(size < 10.0 * self.standard.length_m)]] = np.nan
+            done[todo] = (size < small) | ((size < stalled) & (size > 0.5 * previous[todo]))
+            lost = ~(size < statics.TUNING.lost * self.standard.length_m)
+            done[todo] |= lost
+            q[todo[lost]] = np.nan
             previous[todo] = size
             if np.all(done):
                 return q
@@ -282,3 +270,77 @@ def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:
     """Solution of many systems, scaled by `scale` (m per coordinate); (n, d, d) and (n, d, k) to (n, d, k)."""
     solved = np.linalg.solve(matrix / np.outer(scale, scale), right / scale[:, np.newaxis])
     return np.asarray(solved / scale[:, np.newaxis])
+
+
+def changes(
+    matrices: BeamMatrices, state: BeamStates, left: FloatArray, right: FloatArray, square: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, 2 ne + 2) each.
+
+    With respect to the logarithms of widths, thicknesses, density and modulus; for vectors over the vibrating
+    coordinates, (n, f, d), and `square`, (n, f).
+    """
+    strain, turned = matrices.beam.strained(state.q)
+    w, v = (matrices.beam.elements(matrices.full(x, matrices.modal)) for x in (left, right))
+    w_s, v_s = w @ matrices.gradient.T, v @ matrices.gradient.T
+    w_t, v_t = (np.sum(x * turned[:, np.newaxis], axis=-2) for x in (w_s, v_s))
+    wv = np.sum(w_s * v_s, axis=-2)
+    curve, value, _ = matrices.units
+    held = matrices.constant[2][0, 0]
+    bend = np.sum((w @ curve) * v, axis=(-2, -1)) * state.bend[:, np.newaxis]
+    axial = (w_t * v_t + strain[:, np.newaxis] * wv) @ matrices.beam.weight_m
+    axial[:, :, 0] += held * np.sum(w[:, :, 0, :, 0] * v[:, :, 0, :, 0], axis=-1)
+    axial *= state.axial[:, np.newaxis]
+    kinetic = np.sum((w @ value) * v, axis=(-2, -1)) * state.mass[:, np.newaxis]
+    mass = -square[:, :, np.newaxis] * kinetic
+    if np.any(matrices.beam.gravity_m_s2):
+        # derivative of left^T K right with respect to the state
+        along = w_s * v_t[..., np.newaxis, :] + v_s * w_t[..., np.newaxis, :]
+        along += turned[:, np.newaxis] * wv[..., np.newaxis, :]
+        more = _by_equilibrium(matrices, state, along)
+        bend, axial, mass = bend + more[0], axial + more[1], mass + more[2]
+    zero = np.zeros_like(bend)
+    return _to_variables(bend, axial, mass), _to_variables(zero, zero, kinetic)
+
+
+def _by_equilibrium(
+    matrices: BeamMatrices, state: BeamStates, along: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Contribution of the change of the equilibrium with log EI, log EA and log rho A, shape (n, f, ne) each.
+
+    `along` is the derivative of a quantity with respect to the slopes at the Gauss points, over EA, shape
+    (n, f, ne, 2, g). With the adjoint state a the contribution is ``a^T (F_weight - F_elastic)_p``.
+    """
+    strain, turned = matrices.beam.strained(state.q)
+    q = matrices.beam.elements(state.q)
+    weight = matrices.beam.weight_m * state.axial[:, :, np.newaxis]
+    a = matrices.beam.elements(
+        _adjoint(matrices, state, (along * weight[:, np.newaxis, :, np.newaxis]) @ matrices.gradient)
+    )
+    a_t = np.sum((a @ matrices.gradient.T) * turned[:, np.newaxis], axis=-2)
+    curve, _, load = matrices.units
+    bend = -np.sum(a * (q @ curve)[:, np.newaxis], axis=(-2, -1))
+    axial = -np.sum(a_t * (weight * strain)[:, np.newaxis], axis=-1)
+    held = matrices.constant[2][0, 0] * state.axial[:, np.newaxis, 0]
+    axial[:, :, 0] -= held * np.sum(a[:, :, 0, :, 0] * q[:, np.newaxis, 0, :, 0], axis=-1)
+    mass = np.sum(a * np.outer(matrices.beam.gravity_m_s2, load), axis=(-2, -1))
+    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis]
+
+
+def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> FloatArray:
+    """Solution of ``K a = nodal`` at the equilibrium; (n, f, ne, 2, 4) to all coordinates, (n, f, 4 (ne + 1))."""
+    full = matrices.gathered(nodal)
+    scale = np.repeat(matrices.scale[matrices.held :], len(matrices.static))
+    rows = np.swapaxes(full[:, :, matrices.free(matrices.static)], 1, 2)
+    lost = ~np.all(np.isfinite(state.static_k), axis=(1, 2))
+    tangent = np.where(lost[:, np.newaxis, np.newaxis], np.eye(scale.size), state.static_k)
+    solved = scaled_solve(tangent, rows, scale)
+    return matrices.full(np.swapaxes(solved, 1, 2), matrices.static)
+
+
+def _to_variables(bend: FloatArray, axial: FloatArray, mass: FloatArray) -> FloatArray:
+    """From derivatives by log EI, log EA and log rho A, (..., ne), to those by the variables, (..., 2 ne + 2)."""
+    total = bend + axial + mass
+    of_density = np.sum(mass, axis=-1, keepdims=True)
+    of_modulus = np.sum(bend + axial, axis=-1, keepdims=True)
+    return np.concatenate([total, total + 2.0 * bend, of_density, of_modulus], axis=-1)

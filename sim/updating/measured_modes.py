@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from tracker.arrays import FloatArray, IntArray
+from tracker import FloatArray, IntArray, checked
 
-# relative standard deviation of the model error of a frequency (clamp, amplitude, air); that of the mesh is added for
-# each mode
-MODEL_SD = 1e-4
-# of a shape, relative to its largest amplitude
-SHAPE_SD = 1e-2
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors of the model."""
+
+    #: [1] relative sd of the model error of a frequency (clamp, amplitude, air) where none is given
+    #: convention: Chosen; the option [updating] model_sd replaces it. That of the mesh is added for each mode.
+    model_sd: float = 1e-4
+    #: [1] sd of the model error of a shape, over its largest amplitude
+    #: convention: Chosen, for errors of the markers' positions and of the model.
+    shape_sd: float = 1e-2
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ class MeasuredShape:
     @cached_property
     def total_sd(self) -> FloatArray:
         """Standard deviation with the floor of a hundredth of the largest amplitude, shape (k,)."""
-        floor = SHAPE_SD * np.max(np.abs(self.amplitude))
+        floor = TUNING.shape_sd * np.max(np.abs(self.amplitude))
         return np.asarray(np.hypot(np.nan_to_num(self.sd), floor))
 
     def misfit(self, model: FloatArray) -> FloatArray:
@@ -87,7 +96,7 @@ class MeasuredModes:
     frequency_hz: FloatArray
     sd_hz: FloatArray
     shapes: tuple[MeasuredShape, ...] = ()
-    model_sd: float = MODEL_SD
+    model_sd: float = field(default_factory=lambda: TUNING.model_sd)
     rate_sd: float = 0.0
 
     def __post_init__(self) -> None:
@@ -107,12 +116,8 @@ class MeasuredModes:
         if np.any(numbers < 1) or np.unique(numbers).size != numbers.size:
             msg = f"mode_numbers must be 1 or more, each once; got {numbers.tolist()}"
             raise ValueError(msg)
-        if not (np.isfinite(self.model_sd) and self.model_sd > 0.0):
-            msg = f"model_sd must be finite and positive, got {self.model_sd}"
-            raise ValueError(msg)
-        if not (np.isfinite(self.rate_sd) and self.rate_sd >= 0.0):
-            msg = f"rate_sd must be finite and not negative, got {self.rate_sd}"
-            raise ValueError(msg)
+        checked("model_sd", self.model_sd, positive=True)
+        checked("rate_sd", self.rate_sd, at_least=0.0)
 
     @property
     def relative_sd(self) -> FloatArray:

@@ -23,6 +23,8 @@ Bardsley, Solonen, Haario, Laine, "Randomize-then-optimize: a method for samplin
 nonlinear inverse problems", SIAM J. Sci. Comput. 36 (2014) A1895-A1910, doi:10.1137/140964023.
 Bardsley, Cui, Marzouk, Wang, "Scalable optimization-based sampling on function space", SIAM J. Sci. Comput. 42 (2020)
 A1317-A1347, doi:10.1137/19M1245220.
+
+Prior of the properties: Gaussian in the logarithms of the factors.
 """
 
 from __future__ import annotations
@@ -33,20 +35,41 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from sim.updating.least_squares import uniform_basis
+from tracker import FloatArray, checked
 
 # z, (n, k), to misfits, (n, m), and their slopes, (n, m, k)
 Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
-_MAX_ITERATIONS = 60
-_SMALLEST_SHARE = 1e-4
-# in prior standard deviations: the error of the evidence is the square of this times the precision of the data
-_MOVE_TOLERANCE = 1e-6
-_DRAW_ITERATIONS = 25
-# in standard deviations of the draw; the weight is exact for the point at which the iteration stops
-_DRAW_TOLERANCE = 1e-6
-# longest step of the iteration, in standard deviations of the prior
-_LONGEST_STEP = 1.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the maximum and of the draws; what the prior keeps."""
+
+    #: [1] Gauss-Newton iterations to the maximum
+    #: convention: Chosen, not derived.
+    iterations: int = 60
+    #: [1] share of a Gauss-Newton step below which it is not halved again: the point counts as the maximum
+    #: convention: Thirteen halvings; chosen.
+    smallest_share: float = 1e-4
+    #: [prior sd] largest move at the maximum
+    #: physics: The error of the log evidence is the square of this times the precision of the data, 1e6: 1e-6.
+    settled: float = 1e-6
+    #: [1] Newton iterations for one draw; beyond, it has no solution and no weight
+    #: convention: Chosen, not derived.
+    draw_iterations: int = 25
+    #: [sd of the draw] error of the equations at which the iteration of a draw ends
+    #: physics: The weight is exact for the point reached: the error is one of the draw's place only.
+    draw_error: float = 1e-6
+    #: [prior sd] longest step of the iteration of a draw
+    #: convention: Chosen, not derived.
+    longest_step: float = 1.0
+    #: [1] prior variance of a direction, over the largest, below which it is left out
+    #: measurement: Left-out directions change no frequency by 1e-6.
+    negligible: float = 1e-8
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -118,11 +141,11 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
     """Maximum of the posterior, by Gauss-Newton with step halving from `start`, shape (k,)."""
     z, size = start, start.size
     g, slopes = _one(misfits, z)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(TUNING.iterations):
         rows = np.vstack([slopes, np.eye(size)])
         move = np.linalg.lstsq(rows, -np.concatenate([g, z]), rcond=None)[0]
         share = 1.0
-        while share > _SMALLEST_SHARE:
+        while share > TUNING.smallest_share:
             trial = z + share * move
             then, then_slopes = _one(misfits, trial)
             # NaN, of a beam that buckles, is never better
@@ -132,7 +155,7 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
         else:
             return Maximum(z, g, slopes)
         z, g, slopes = trial, then, then_slopes
-        if np.max(np.abs(share * move)) < _MOVE_TOLERANCE:
+        if np.max(np.abs(share * move)) < TUNING.settled:
             return Maximum(z, g, slopes)
     return Maximum(z, g, slopes)
 
@@ -151,7 +174,7 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
     z = across + a @ vt
     log_weight = np.full(count, -np.inf)
     todo = np.arange(count)
-    for _ in range(_DRAW_ITERATIONS):
+    for _ in range(TUNING.draw_iterations):
         g, slopes = misfits(z[todo])
         inner = np.einsum("mr,nmk,ks->nrs", u, slopes, v, optimize=True)
         turned = widen[:, np.newaxis] * (np.eye(s.size) + s[:, np.newaxis] * inner)
@@ -159,7 +182,9 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
         good = np.isfinite(value).all(axis=1) & np.isfinite(turned).all(axis=(1, 2))
         todo, g, turned, value = todo[good], g[good], turned[good], value[good]
         error = value - target[todo]
-        done = np.max(np.abs(error), axis=1) < _DRAW_TOLERANCE * (1.0 + np.max(np.abs(target[todo]), axis=1))
+        done = np.max(np.abs(error), axis=1) < TUNING.draw_error * (
+            1.0 + np.max(np.abs(target[todo]), axis=1)
+        )
         if np.any(done):
             at = todo[done]
             square = np.sum(z[at] ** 2, axis=1) + np.sum(g[done] ** 2, axis=1)
@@ -170,10 +195,47 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
             break
         step = -np.linalg.solve(turned, error[:, :, np.newaxis])[:, :, 0]
         length = np.linalg.norm(step, axis=1, keepdims=True)
-        z[todo] += (step * np.minimum(1.0, _LONGEST_STEP / np.maximum(length, 1e-300))) @ vt
+        z[todo] += (step * np.minimum(1.0, TUNING.longest_step / np.maximum(length, 1e-300))) @ vt
     return Draws(z, log_weight)
 
 
 def _one(misfits: Misfits, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     g, slopes = misfits(z[np.newaxis])
     return g[0], slopes[0]
+
+
+@dataclass(frozen=True)
+class SmoothPrior:
+    """Prior of widths and thicknesses that vary smoothly along the beam, and of density and modulus.
+
+    The logarithm of each factor has the standard deviation `sd`, by default half the paper's bound; those of two
+    elements have the correlation ``exp(-(ds / l)^2 / 2)``, separately for widths and thicknesses, with l in lengths of
+    the beam. An infinite l makes them uniform.
+    """
+
+    sd: float = 0.05
+    correlation_length: float = 0.1
+
+    def __post_init__(self) -> None:
+        checked("sd of the prior", self.sd, positive=True, at_most=0.3)
+        if not self.correlation_length > 0.0:
+            msg = f"correlation_length must be positive, got {self.correlation_length}"
+            raise ValueError(msg)
+
+    def basis(self, elements: int) -> FloatArray:
+        """Matrix from independent standard normal numbers to the logarithms of the factors, shape (2 ne + 2, k)."""
+        if np.isinf(self.correlation_length):
+            return self.sd * uniform_basis(elements)
+        s = (np.arange(elements) + 0.5) / elements
+        distance = (s[:, np.newaxis] - s) / self.correlation_length
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
+        kept = values > TUNING.negligible * values[-1]
+        # smoothest first, with a fixed sign, so that the same numbers give the same field on every machine
+        field = (vectors[:, kept] * np.sqrt(values[kept]))[:, ::-1]
+        field = field * np.where(np.sum(field, axis=0) < 0.0, -1.0, 1.0)
+        k = field.shape[1]
+        out = np.zeros((2 * elements + 2, 2 * k + 2))
+        out[:elements, :k] = field
+        out[elements : 2 * elements, k : 2 * k] = field
+        out[-2, -2] = out[-1, -1] = 1.0
+        return np.asarray(self.sd * out)

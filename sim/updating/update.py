@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sim.beam.properties import BeamProperties
-from sim.beam.statics import BuckledBeamError, NoEquilibriumError
-from sim.updating.bayesian import DEFAULT_DRAWS, BayesianUpdate, UndecidedError, update_bayesian
+from sim.beam import BeamProperties, BuckledBeamError, NoEquilibriumError
+from sim.updating.bayesian import TUNING as BAYESIAN
+from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
 from sim.updating.evidence import ModelComparison, compare_models
-from sim.updating.measured_modes import MODEL_SD, MeasuredModes
-from sim.updating.paper_method import PaperUpdate, update_like_paper
-from sim.updating.prior import SmoothPrior
-from sim.updating.uniform_beam import UniformUpdate, update_uniform
-from tracker.arrays import FloatArray, IntArray
+from sim.updating.least_squares import PaperUpdate, UniformUpdate, update_like_paper, update_uniform
+from sim.updating.measured_modes import TUNING as MEASURED
+from sim.updating.measured_modes import MeasuredModes
+from sim.updating.posterior import SmoothPrior
+from tracker import Column, Failure, FloatArray, IntArray, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Method = Literal["bayesian", "evidence", "paper", "uniform"]
-# a finer mesh has more unknowns, which a few modes do not determine
-MOST_ELEMENTS = 24
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The mesh of the updating."""
+
+    #: [elements] a finer mesh is coarsened to it
+    #: convention: A finer one has more unknowns, which a few modes do not determine; mode 5 is off by 8e-5, part of its
+    #: sd.
+    most_elements: int = 24
+
+
+TUNING = Tuning()
 # separates the random numbers of the discrepancy from those of the posterior draws
 _STREAM = 1
 
@@ -47,13 +58,43 @@ class UpdatingSettings:
 
     bound: float = 0.10
     correlation_length: float = 0.1
-    model_sd: float = MODEL_SD
-    draws: int = DEFAULT_DRAWS
+    model_sd: float = field(default_factory=lambda: MEASURED.model_sd)
+    draws: int = field(default_factory=lambda: BAYESIAN.draws)
 
     @property
     def prior(self) -> SmoothPrior:
         """The prior of the Bayesian update."""
         return SmoothPrior(0.5 * self.bound, self.correlation_length)
+
+
+def _interval(row: tuple[Updating, int]) -> FloatArray:
+    updating, i = row
+    return np.asarray(updating.bayesian.frequency_interval_hz()[updating.mode_numbers[i] - 1])
+
+
+# Of ``updating.csv``: values of an updating and the rank of one of its measured modes.
+UPDATING_COLUMNS = (
+    Column("mode", "", "number of the beam's mode", lambda row: int(row[0].mode_numbers[row[1]])),
+    Column(
+        "measured_hz", "Hz", "as measured, at small amplitude", lambda row: float(row[0].measured_hz[row[1]])
+    ),
+    Column("standard_hz", "Hz", "of the beam as configured", lambda row: float(row[0].standard_hz[row[1]])),
+    Column("updated_hz", "Hz", "of the most probable beam", lambda row: float(row[0].updated_hz[row[1]])),
+    Column("updated_q05_hz", "Hz", "5 % quantile of the posterior", lambda row: float(_interval(row)[0])),
+    Column("updated_q95_hz", "Hz", "95 % quantile", lambda row: float(_interval(row)[1])),
+    Column(
+        "paper_hz",
+        "Hz",
+        "by the paper's method, no gravity",
+        lambda row: float(row[0].paper.updated_hz[row[1]]),
+    ),
+    Column(
+        "uniform_hz",
+        "Hz",
+        "with one change of thickness and stiffness along the whole beam",
+        lambda row: float(row[0].uniform.updated_hz[row[1]]),
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -114,20 +155,7 @@ class Updating:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per measured mode, with the columns of ``updating.csv``."""
-        intervals = self.bayesian.frequency_interval_hz()
-        return [
-            {
-                "mode": int(number),
-                "measured_hz": float(self.measured_hz[i]),
-                "standard_hz": float(self.standard_hz[i]),
-                "updated_hz": float(self.updated_hz[i]),
-                "updated_q05_hz": float(intervals[number - 1, 0]),
-                "updated_q95_hz": float(intervals[number - 1, 1]),
-                "paper_hz": float(self.paper.updated_hz[i]),
-                "uniform_hz": float(self.uniform.updated_hz[i]),
-            }
-            for i, number in enumerate(self.mode_numbers)
-        ]
+        return [table_row(UPDATING_COLUMNS, (self, i)) for i in range(len(self.mode_numbers))]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per measured mode, with the columns of ``updating.csv``."""
@@ -166,18 +194,8 @@ class Updating:
         return str(self.to_dataframe().to_html(index=False))
 
 
-@dataclass(frozen=True)
-class FailedUpdating:
-    """A beam that could not be updated: falsy, with the reason."""
-
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
-
-
 _DEFAULT_SETTINGS = UpdatingSettings()
-UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | FailedUpdating
+UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | Failure
 # those that take longest first
 METHODS: tuple[Method, ...] = ("bayesian", "evidence", "paper", "uniform")
 
@@ -189,7 +207,7 @@ def update(
     *,
     modes: int | None = None,
     seed: int = 0,
-) -> Updating | FailedUpdating:
+) -> Updating | Failure:
     """Update a beam by all methods, with at most 24 elements.
 
     The settings' `model_sd` replaces that of `measured`. `modes` is the number of modes to predict; three more than the
@@ -229,14 +247,14 @@ def update_by(
             return update_like_paper(standard, with_sd, bound=settings.bound, seed=seed)
         return update_uniform(standard, with_sd, bound=settings.bound)
     except (UndecidedError, BuckledBeamError, NoEquilibriumError) as error:
-        return FailedUpdating(str(error))
+        return Failure(str(error))
 
 
 def all_updates(
     measured: MeasuredModes, settings: UpdatingSettings, parts: Mapping[Method, UpdatePart]
-) -> Updating | FailedUpdating:
+) -> Updating | Failure:
     """The result of `update` from its parts, or the first failure of one."""
-    failed = next((part for part in parts.values() if isinstance(part, FailedUpdating)), None)
+    failed = next((part for part in parts.values() if isinstance(part, Failure)), None)
     if failed is not None:
         return failed
     found: dict[Any, Any] = dict(parts)
@@ -244,11 +262,11 @@ def all_updates(
 
 
 def _coarse(properties: BeamProperties) -> BeamProperties:
-    """The beam with at most `MOST_ELEMENTS`: widths and thicknesses interpolated to the middles of the elements."""
-    if properties.elements <= MOST_ELEMENTS:
+    """The beam with at most 24 elements: widths and thicknesses interpolated to the middles of the elements."""
+    if properties.elements <= TUNING.most_elements:
         return properties
     fine = (np.arange(properties.elements) + 0.5) / properties.elements
-    new = (np.arange(MOST_ELEMENTS) + 0.5) / MOST_ELEMENTS
+    new = (np.arange(TUNING.most_elements) + 0.5) / TUNING.most_elements
     return replace(
         properties,
         width_m=np.interp(new, fine, properties.width_m),

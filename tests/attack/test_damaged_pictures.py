@@ -6,13 +6,11 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.report.sections.alerts import alerts
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.ffmpeg import VideoSource
+from modalcam.report.sections import alerts
+from tracker import TrackerSettings, track
+from tracker.video import UnreadableVideoError, VideoSource
 
 FRAMES, WIDTH, HEIGHT, FILMS = 24, 160, 120, 40
 # Damaged packets that decode without an error: bytes that are valid code by chance, in a picture of few blocks. 10 % of

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from support.attacks import content
+from kit.attacks import content
 
 # The folder is a file system of its own in a name space of the test's; then it grows, and the run is repeated.
 SCRIPT = """

@@ -4,12 +4,10 @@ import sys
 from collections import Counter
 
 import pytest
-from support.attack_files import WRITERS
-from support.attacks import Outcome, attack, write_whole
+from kit.attacks import WRITERS, Outcome, attack, write_whole
 from support.worker_tasks import InThisProcess
 
-from modalcam.execution import pool
-from modalcam.execution.local import Limits
+from modalcam.pipeline import Limits, pool
 
 # A file is stopped after this long: it ends a hang, whatever else the machine does meanwhile.
 HANG_S = 240.0

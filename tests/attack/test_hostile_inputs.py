@@ -9,13 +9,13 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from kit import attacks
+from kit.films import write_decay
+from kit.series import pole_of
 from scipy.io import savemat
-from support import attacks
-from support.decay_clip import write_decay
-from support.modal_decays import pole_of
 
 from modalcam import cli
-from modalcam.errors import ExitCode
+from modalcam.common import ExitCode
 
 
 def write_table(path, frequency_hz=10.0, text="y"):
@@ -54,122 +54,12 @@ def content(folder):
     return {name: data for name, data in attacks.content(folder).items() if name.rpartition("/")[2] != "lock"}
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("--time-limit", "inf"),
-        ("--time-limit", "nan"),
-        ("--memory-limit", "inf"),
-        ("--memory-limit", "1e30"),
-        ("--fps", "1e999999999"),
-        ("--fps", "9" * 5000),
-        ("--fps", "1/0"),
-    ],
-)
-def test_numbers_without_end_are_refused(modalcam, tmp_path, option, value):
-    (tmp_path / "videos").mkdir()
-    code, _, err = modalcam("run", tmp_path / "videos", "-o", tmp_path / "out", option, value)
-    assert code == ExitCode.USAGE
-    assert option in err
-    assert len(err) < 600
-
-
-def test_a_billion_dots_are_refused(modalcam, tmp_path):
-    code, _, err = modalcam("markers", "--dots", 10**9, "-o", tmp_path / "dots.pdf")
-    assert code == ExitCode.USAGE
-    assert "--dots" in err
-    assert not (tmp_path / "dots.pdf").exists()
-
-
-def test_a_place_that_cannot_be_written_is_named(modalcam, tmp_path):
-    (tmp_path / "file").write_text("x")
-    code, _, err = modalcam("markers", "-o", tmp_path / "file" / "markers.pdf")
-    assert code == ExitCode.USAGE
-    assert "cannot be written (Not a directory)" in err or "cannot be written (File exists)" in err
-
-
-@pytest.mark.parametrize("command", ["run", "figures", "studio", "demo", "init", "markers"])
-@pytest.mark.parametrize("name", ["a" * 300, "loop/out"])
-def test_names_that_no_file_can_have_end_in_one_line(modalcam, tmp_path, monkeypatch, command, name):
-    """A name over the 255 bytes of Linux, and one within a link to itself."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "videos").mkdir()
-    write_table(tmp_path / "videos" / "series.csv")
-    (tmp_path / "videos" / "film.avi").write_bytes(b"RIFF")
-    (tmp_path / "loop").symlink_to("loop")
-    before = {"markers": (), "demo": (name,)}.get(command, ("videos",))
-    code, _, err = modalcam(command, *before, *(() if command == "demo" else ("-o", name)))
-    assert code == ExitCode.USAGE
-    assert err.startswith("modalcam: ")
-    assert len(err) < 200
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[camera]\nfps = " + "9" * 5000, "not valid TOML"),
-        ("a = " + "[" * 100_000, "nested too deeply"),
-        ("a" + ".a" * 30_000 + " = 1", "keys of at most three parts"),
-        ("'a'" + " . 'a'" * 30_000 + " = 1", "keys of at most three parts"),
-        ('[camera]\nfps = "1e999999999"', "camera.fps"),
-        ("[camera]\nfps = 100\nfps = 200", "not valid TOML"),
-        ('"fps\\u001b[2J" = 3', "\\x1b[2J"),
-    ],
-)
-def test_configurations_that_exhaust_a_parser_are_refused(modalcam, tmp_path, text, words):
-    path = tmp_path / "experiment.toml"
-    path.write_text(text)
-    code, _, err = modalcam("check-config", path)
-    assert code == ExitCode.USAGE
-    assert words in err
-
-
-def test_pipes_and_devices_are_never_opened(modalcam, tmp_path):
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    config = tmp_path / "experiment.toml"
-    for source in (str(pipe), "/dev/zero", str(tmp_path)):
-        config.write_text(f'[camera]\nlens = "{source}"\n')
-        for args in (("check-config", source), ("check-config", config)):
-            code, _, err = modalcam(*args)
-            assert code == ExitCode.USAGE
-            assert "expected a regular file" in err
-        code, _, err = modalcam("identify", source, "-o", tmp_path / "out")
-        assert code == ExitCode.USAGE
-        assert "expected a regular file" in err
-
-
 def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path):
+    """Without it they are refused, as in test_refusals.py."""
     mine = write_table(tmp_path / "mine.svg")
     before = mine.read_bytes()
-    clip = tmp_path / "clip.avi"
-    clip.write_bytes(b"mine")
-    config = tmp_path / "experiment.toml"
-    config.write_text("[camera]\nfps = 100\n")
-    kept = config.read_bytes()
-    for args in (
-        ("markers", "-o", mine),
-        ("plan", config, "-o", config),
-        ("init", tmp_path, "-o", config),
-        ("render", config, "-o", clip),
-        ("calibrate", tmp_path, "-o", config),
-    ):
-        code, _, err = modalcam(*args)
-        assert code == ExitCode.USAGE
-        assert "exists already" in err
-    assert (mine.read_bytes(), config.read_bytes(), clip.read_bytes()) == (before, kept, b"mine")
     assert modalcam("markers", "-o", mine, "--force")[0] == ExitCode.OK
     assert mine.read_bytes() != before
-
-
-def test_a_demonstration_is_not_written_among_other_videos(modalcam, tmp_path):
-    videos = tmp_path / "videos"
-    videos.mkdir()
-    (videos / "mode2.avi").write_bytes(b"mine")
-    code, _, err = modalcam("demo", tmp_path)
-    assert code == ExitCode.USAGE
-    assert "holds other files" in err
-    assert content(videos) == {"mode2.avi": b"mine"}
 
 
 def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, identified):
@@ -267,12 +157,6 @@ def test_a_closed_reader_of_the_output_ends_a_command_quietly(
             cli.main()
     assert end.value.code == ExitCode.CLOSED_OUTPUT
     assert capfd.readouterr().err == ""
-
-
-def test_a_film_of_another_kind_is_refused_before_anything_is_computed(modalcam, tmp_path):
-    code, _, err = modalcam("render", tmp_path / "absent.toml", "-o", tmp_path / "r.xyz")
-    assert code == ExitCode.USAGE
-    assert "expected a name ending in .avi, .mkv, .mp4, .mov; found" in err
 
 
 def test_tracking_prints_its_notes(modalcam, tmp_path, in_process):

@@ -8,11 +8,11 @@ import time
 
 import numpy as np
 import pytest
-from support.attacks import content
-from support.decay_clip import EXPERIMENT, write_decay
+from kit.attacks import content
+from kit.films import EXPERIMENT, write_decay
 
 from modalcam.commands import Options, run
-from modalcam.execution import pool
+from modalcam.pipeline import pool
 
 KILLS = 24
 

@@ -8,17 +8,15 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-from support import tracker_media as media
+from kit import films as media
 
-from modalcam.inputs.discover import discover
-from modalcam.inputs.probe import probe_folder
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import open_recording
+from modalcam.inputs import discover, probe_folder
+from tracker import TrackerSettings, track
+from tracker.video import UnreadableVideoError, open_recording
 
 # Without a kind, `probe` would look for the codes of every dictionary in each frame, which takes most of its time.
 KIND = '[markers]\nkind = "blob"\n'
+PATCH = '[markers]\nkind = "patch"\npoints_px = [[16.0, 8.0]]\nsize_px = 9.0\n'
 TURNS = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
 NAMES = [
     b"\xff\xfe.avi",
@@ -140,7 +138,7 @@ def test_a_movie_whose_images_are_in_another_file_has_none(tmp_path):
 def test_names_of_every_kind_are_read_and_shown(tmp_path):
     folder = tmp_path / "videos"
     folder.mkdir()
-    (folder / "experiment.toml").write_text(KIND)
+    (folder / "experiment.toml").write_text(PATCH)
     whole = media.write(tmp_path / "a.avi", media.images(2, width=32, height=16)).read_bytes()
     for name in NAMES:
         (folder / os.fsdecode(name)).write_bytes(whole)

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.camera_motion import CameraCase
-from tracker.displacement import displacement_series
+from tracker import displacement_series
 
 
 def test_displacements_beside_a_drifting_camera_are_along_the_vibration():

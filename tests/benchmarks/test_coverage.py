@@ -10,7 +10,16 @@ from benchmarks.coverage_cases import CASES
 LEVELS = (0.5, 0.9, 0.99)
 
 
-def check_case(case, seeds):
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(
+    ("case", "seeds"),
+    [
+        ("all together", range(500, 503)),
+        *(pytest.param(case, range(500, 504), marks=pytest.mark.slow) for case in ("white", "AR(1) 0.5")),
+        *(pytest.param(case, range(1000, 1134), marks=pytest.mark.slow) for case in CASES),
+    ],
+)
+def test_intervals_cover(case, seeds):
     """f and zeta of modes 1, 3 and 5 within the binomial 99.9 % band, by the density that emcee samples."""
     trials = [run_trial(case, mode, seed, sampled=False) for mode in (0, 2, 4) for seed in seeds]
     for name in ("rank_frequency", "rank_zeta"):
@@ -23,25 +32,6 @@ def check_case(case, seeds):
             assert low <= hits <= high, (
                 f"{case}, {name}: {hits} of {ranks.size} inside the {level:.0%} interval, allowed {low}..{high}"
             )
-
-
-@pytest.mark.parametrize(
-    ("case", "seeds"),
-    [
-        pytest.param("white", 4, marks=pytest.mark.slow),
-        pytest.param("AR(1) 0.5", 4, marks=pytest.mark.slow),
-        ("all together", 3),
-    ],
-)
-def test_intervals_cover(case, seeds):
-    check_case(case, range(500, 500 + seeds))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_cover_402(case):
-    check_case(case, range(1000, 1134))
 
 
 def test_emcee_draws_the_density_that_the_study_integrates():

@@ -1,4 +1,4 @@
-"""Intervals on a few rendered, encoded and tracked films; docs/films.md has the table of many."""
+"""Intervals on a few rendered, encoded and tracked films; docs/studies/films.md has the table of many."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,7 @@ from scipy.stats import chi2, norm
 
 from benchmarks.film_scenes import Film
 from benchmarks.films import row, run_film, table, tracked
-from tracker.displacement import displacement_series
+from tracker import displacement_series
 
 SHORT, LONG = 600, pytest.param(1500, marks=pytest.mark.slow)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.limits import motion, used, write_film, write_table
-from modalcam.inputs.table import read_table
-from tracker.video.registry import probe
+from modalcam.inputs import read_table
+from tracker.video import probe
 
 
 def test_time_and_memory_are_those_of_the_largest_process_of_a_program():

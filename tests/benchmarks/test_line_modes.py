@@ -7,16 +7,11 @@ import pytest
 
 from benchmarks.line_modes import LENGTH_MM, ModeFilm, compared, tracked
 from benchmarks.line_scenes import ROOTS, mode_shape
-from modal_id.identify import identify
-from modal_id.modes.curvature import Curvature, beam_curvature
-from modal_id.modes.row_delay import row_delay
-from modal_id.settings import IdentifySettings
-from modalcam.pipeline.identify import image_rows
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.position_errors import harmonics
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modal_id.modes import Curvature, beam_curvature, row_delay
+from modalcam.pipeline import image_rows
+from sim.render import write_video
+from tracker import TrackerSettings, displacement_series, harmonics, track
 
 
 def test_a_mode_of_a_film_is_found_exactly(tmp_path):

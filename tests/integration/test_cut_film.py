@@ -9,7 +9,7 @@ from support.html_page import Page
 from support.paths import SAMPLES
 from typer.testing import CliRunner
 
-from modalcam.cli.app import app
+from modalcam.cli import app
 
 READ, DECLARED, FPS = 138, 1301, 500
 

@@ -5,15 +5,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from kit.series import least_squares_fit
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, flags, track
 
 FORKS = REALDATA / "tuning_forks"
 CLIP = next(iter(sorted(FORKS.glob("tuning_hz32_fps1000*.mp4"))), None)
@@ -36,19 +32,8 @@ def prongs():
 
 
 def eq1_fit(x_px):
-    """Frequency and residual of a position after a fit of Eq. 1 and a cubic drift, independent of the program."""
-    found = np.flatnonzero(np.isfinite(x_px[MOVING])) + MOVING.start
-    t, x = found / 1000, x_px[found]
-
-    def residual(p):
-        phase = 2 * np.pi * p[0] * t
-        decay = np.exp(-p[1] * phase)
-        drift = [(t - t.mean()) ** k for k in range(4)]
-        design = np.stack([decay * np.cos(phase), decay * np.sin(phase), *drift], axis=1)
-        return x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
-
-    fit = least_squares(residual, [32.0, 3e-4], x_scale=[1e-2, 1e-4])
-    return fit.x[0], fit.fun
+    """Frequency and residual of a position after a fit of Eq. 1 and a cubic drift."""
+    return least_squares_fit(np.arange(MOVING.start, MOVING.stop) / 1000, x_px[MOVING])
 
 
 def test_tuning_fork_by_patches(prongs):

@@ -7,11 +7,8 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, track
 
 CLIP = REALDATA / "ordinary" / "fork32_beside_machine_fps250_repeated_last_frames.mp4"
 LEFT, RIGHT = ((161.5, 415.0), (167.5, 65.0)), ((189.0, 415.0), (219.0, 74.0))

@@ -2,23 +2,11 @@
 
 import numpy as np
 import pytest
-from support import tracker_media as media
-from support.moving_targets import (
-    BALL_HZ,
-    BALL_ZETA,
-    DOTS_X_PX,
-    FPS_BALL,
-    FPS_DOTS,
-    ball_images,
-    dot_images,
-    swing_px,
-)
+from kit import films as media
+from kit.films import BALL_HZ, BALL_ZETA, DOTS_X_PX, FPS_BALL, FPS_DOTS, ball_images, dot_images, swing_px
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, track
 
 
 def identified(path, settings):

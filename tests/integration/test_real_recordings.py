@@ -9,13 +9,11 @@ import pytest
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
-pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
-
-
-@pytest.fixture
-def modalcam(modalcam, in_process, no_figures):
-    """Commands whose tasks run in this process, without figures; test_commands.py has worker processes and figures."""
-    return modalcam
+pytestmark = [
+    pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT),
+    # test_commands.py has worker processes and figures
+    pytest.mark.usefixtures("in_process", "no_figures"),
+]
 
 
 def target_of(out):

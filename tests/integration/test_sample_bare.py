@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from modalcam.config.resolve import beam_properties, tracker_settings
-from modalcam.config.toml import load_config
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from tracker.displacement import displacement_series
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modalcam.config import beam_properties, load_config, tracker_settings
+from sim.beam import AncfBeam, beam_modes
+from tracker import displacement_series, track
 
 FOLDER = ROOT / "sample_bare"
 FILM = "mode3.avi"

@@ -4,14 +4,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from support import tracker_media as media
+from kit import films as media
+from kit.series import decay
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, flags, track
 
 FREQUENCY_HZ, ZETA = 23.0, 0.012
 PARTS = ((45, 30), (500, 960), (45, 30))
@@ -22,15 +19,9 @@ def film(path, playback=1):
     """A dot in free decay throughout; stamps are the true times, slowed down `playback` times."""
     steps = np.concatenate([np.full(count, 1.0 / rate) for count, rate in PARTS])
     time_s = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
-    rng = np.random.default_rng(7)
-    omega = 2 * np.pi * FREQUENCY_HZ
-    swing = 60.0 * np.exp(-ZETA * omega * time_s) * np.cos(omega * np.sqrt(1 - ZETA**2) * time_s)
-    y, x = np.indices((60, 200), sparse=True)
-    images = []
-    for offset in swing:
-        dot = np.clip(7.0 - np.hypot(x - 100 - offset, y - 30), 0, 1)
-        image = 200 - 160 * dot + rng.normal(0, 2.0, dot.shape)
-        images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    swing = decay(time_s, FREQUENCY_HZ, ZETA, 60.0, 0.0)
+    centres = np.stack([100.0 + swing, np.full(swing.size, 30.0)], axis=1)[:, None]
+    images = media.dots(centres, shape=(60, 200), radius_px=6.5, contrast=160.0, noise=2.0, seed=7)
     stamps = np.rint(playback * TICKS_PER_S * time_s).astype(int).tolist()
     media.write(
         path, images, codec="libx264", pts=stamps, time_base=Fraction(1, TICKS_PER_S), options={"qp": "0"}

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support.paths import SAMPLES
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings, SamplerSettings
-from modalcam.config.resolve import expected_of_theory
-from modalcam.pipeline.saved import load_run
+from modal_id import IdentifySettings, SamplerSettings, identify
+from modalcam.config import expected_of_theory
+from modalcam.pipeline import load_run
 
 pytestmark = pytest.mark.timeout(900)
 TRUTH = {r["mode"]: r for r in json.loads((SAMPLES / "truth.json").read_text())["recordings"]}

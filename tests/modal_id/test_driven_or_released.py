@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.ordinary_records import decay
+from kit.series import decay, series_of
 
-from modal_id.data.samples import FitData
-from modal_id.identify import identify
-from modal_id.segments.find_onset import from_largest_deflection
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import FitData
+from modal_id.segments import from_largest_deflection
 
 
 @pytest.mark.parametrize("drive_hz", [7.0, pytest.param(20.0, marks=pytest.mark.slow)])

@@ -1,11 +1,13 @@
 """Modes of decays without noise, against the values that generated them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from kit.series import series_of
 
-from modal_id.identify import fit_free_decay
-from modal_id.results import FailedIdentification
-from tracker.results import DisplacementSeries
+from modal_id import fit_free_decay
+from tracker import Failure
 
 TIME_S = np.arange(0.0, 2.0, 1.0 / 250.0)
 
@@ -13,16 +15,7 @@ TIME_S = np.arange(0.0, 2.0, 1.0 / 250.0)
 def series(*waves):
     """Motion of two channels, the second half as large, that begins at 3 s."""
     values = np.outer(sum(np.real(wave) for wave in waves), [1.0, 0.5])
-    return DisplacementSeries(
-        name="simulated",
-        time_s=3.0 + TIME_S,
-        channels=("a", "b"),
-        values=values,
-        sd=np.full(values.shape, np.nan),
-        unit="mm",
-        positions_mm=np.array([100.0, 200.0]),
-        direction=(1.0, 0.0),
-    )
+    return series_of(3.0 + TIME_S, values, "mm", positions_mm=np.array([100.0, 200.0]))
 
 
 def wave(amplitude, frequency_hz, damping_ratio):
@@ -53,10 +46,8 @@ def test_a_frequency_that_grows_with_the_square_of_the_amplitude_has_its_shift(s
 def test_a_record_that_is_too_short_is_a_reason():
     short = series(wave(1.0, 10.0, 0.004))
     found = fit_free_decay(
-        DisplacementSeries(
-            **{**vars(short), "time_s": short.time_s[:5], "values": short.values[:5], "sd": short.sd[:5]}
-        ),
+        replace(short, time_s=short.time_s[:5], values=short.values[:5], sd=short.sd[:5]),
         max_modes=1,
     )
-    assert isinstance(found, FailedIdentification)
+    assert isinstance(found, Failure)
     assert found.reason

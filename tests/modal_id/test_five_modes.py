@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from kit.series import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 from scipy.stats import chi2
-from support.modal_decays import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.modes.shapes import mac
-from modal_id.solve.poles import damping_ratio, frequency_hz
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.modes import mac
+from modal_id.solve import damping_ratio, frequency_hz
 
 POSITIONS_MM = np.linspace(60.0, 490.0, 8)
 SHAPES = clamped_free_shapes(POSITIONS_MM)
@@ -62,7 +62,11 @@ def macs(fit):
     return [mac(shape, SHAPES[:, i]) for i, shape in enumerate(fit.linear.amplitudes)]
 
 
-def check_clean(seeds):
+MANY = pytest.param(range(1000, 1100), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("seeds", [range(6), MANY], ids=len)
+def test_clean(seeds):
     errors = []
     for seed in seeds:
         y, phases = record(seed)
@@ -77,28 +81,11 @@ def check_clean(seeds):
     assert np.all(rms < limit), f"rms relative to the bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
 
 
-def check_disturbed(seeds):
+@pytest.mark.parametrize("seeds", [range(2), MANY], ids=len)
+def test_disturbed(seeds):
     for seed in seeds:
         fit = fitted(contaminated(record(seed)[0], seed))
         assert fit.poles.size == 5, f"seed {seed}: {frequency_hz(fit.poles).round(2)} Hz"
         assert min(macs(fit)) > 0.9999
         # No gross failure: ten times the error of the worst mode in white noise.
         np.testing.assert_allclose(damping_ratio(fit.poles), PAPER_ZETA, rtol=0.03)
-
-
-def test_clean():
-    check_clean(range(6))
-
-
-def test_disturbed():
-    check_disturbed(range(2))
-
-
-@pytest.mark.slow
-def test_clean_100():
-    check_clean(range(1000, 1100))
-
-
-@pytest.mark.slow
-def test_disturbed_100():
-    check_disturbed(range(1000, 1100))

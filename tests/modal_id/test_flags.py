@@ -1,4 +1,4 @@
-from modal_id.flags import ModeFlag
+from modal_id import ModeFlag
 
 
 def test_every_flag_has_its_own_description():

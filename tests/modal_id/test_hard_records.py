@@ -2,19 +2,18 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import (
+from kit.series import (
     PAPER_HZ,
     PAPER_ZETA,
+    QUICK,
     clamped_free_shapes,
     cramer_rao,
     one_mode,
     pole_of,
     series_of,
 )
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import (
-    PAPER_HZ,
-    PAPER_ZETA,
-    clamped_free_shapes,
-    one_mode,
-    pole_of,
-    series_of,
-)
+from kit.series import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, one_mode, pole_of, series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 EIGHT_MM = np.linspace(60.0, 490.0, 8)
 
@@ -84,24 +76,6 @@ def test_emcee_agrees_with_laplace_where_the_posterior_is_normal():
     # The Laplace sd assumes white noise; the draws include the measured noise level.
     ratio = target.damping_ratio_sd / (target.posterior.laplace_sd[1] * target.posterior.noise_factor)
     assert ratio == pytest.approx(1.0, abs=0.1)
-
-
-def test_amplitude_dependence_is_found_flagged_and_covered():
-    t = np.arange(5000) / 500.0
-    omega, zeta0, zeta1 = 2.0 * np.pi * 10.19, 0.0028, 0.0008
-    decay = np.exp(-zeta0 * omega * t)
-    amplitude = decay / (1.0 + zeta1 / zeta0 * (1.0 - decay))
-    rng = np.random.default_rng(3)
-    y = amplitude * np.cos(omega * t) + 0.005 * rng.standard_normal(t.size)
-    target = identify(series_of(t, y), IdentifySettings()).target
-    dependence = target.amplitude_dependence
-    assert dependence.significant
-    assert "AMPLITUDE_DEPENDENT" in target.flags
-    assert dependence.zeta0 == pytest.approx(zeta0, abs=4.0 * dependence.zeta0_sd)
-    assert dependence.zeta1 == pytest.approx(zeta1, abs=4.0 * dependence.zeta1_sd)
-    assert target.posterior.systematic_damping_ratio > 0.0
-    low, high = target.damping_interval(0.9)
-    assert low < zeta0 < high
 
 
 @pytest.mark.parametrize("seed", range(3))

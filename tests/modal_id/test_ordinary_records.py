@@ -2,17 +2,9 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import one_mode, series_of
-from support.ordinary_records import (
-    decay,
-    several_plucks,
-    steady_drive,
-    stopped_by_hand,
-)
-from support.sampling import QUICK
+from kit.series import QUICK, decay, one_mode, series_of, several_plucks, stopped_by_hand
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 # Of a cosine of 4.265 Hz whose amplitude falls by 0.0045 of its phase.
 STOPPED = (4.265 * np.hypot(1.0, 0.0045), 0.0045 / np.hypot(1.0, 0.0045))
@@ -75,19 +67,6 @@ def test_scatter_between_decays_is_in_the_standard_deviation():
     expected = np.std(zetas, ddof=1) / 2.0
     assert mode.damping_ratio_sd == pytest.approx(expected, rel=0.05), "scatter over the root of four decays"
     assert mode.damping_ratio == pytest.approx(np.mean(zetas), rel=0.02)
-
-
-def test_a_steady_drive_gives_a_frequency_and_no_damping():
-    found = identified(steady_drive())
-    assert kinds(found) == ["driven"]
-    assert found.modes == ()
-    line = max(found.driven, key=lambda one: one.amplitude)
-    assert abs(line.frequency_hz - 26.765) < 4.0 * line.frequency_sd_hz
-    assert line.flags == ("DRIVEN",)
-    table = found.to_dataframe()
-    assert table["flags"].tolist() == ["DRIVEN"] * len(found.driven)
-    assert table["damping_ratio"].isna().all()
-    assert any(failed.target and "driven" in failed.reason for failed in found.failed)
 
 
 def test_a_ringing_record_with_rising_damping_was_not_shaken():

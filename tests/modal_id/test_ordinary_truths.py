@@ -4,23 +4,22 @@ import inspect
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.ordinary_records import (
+from kit.series import (
+    QUICK,
     clamp,
     repeated_end,
     ruler,
     ruler_with_click,
+    series_of,
     several_plucks,
     slipping_clamp,
     steady_drive,
     stopped_by_hand,
     strongly_damped,
 )
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
 
 MOST_SD, MOST_BOUNDS = 3.0, 5.0
 
@@ -159,6 +158,10 @@ def test_a_steady_drive():
     assert (parts(found), found.modes) == (["driven"], ())
     line = max(found.driven, key=lambda one: one.amplitude)
     assert line.flags == ("DRIVEN",)
+    table = found.to_dataframe()
+    assert table["flags"].tolist() == ["DRIVEN"] * len(found.driven)
+    assert table["damping_ratio"].isna().all()
+    assert any(failed.target and "driven" in failed.reason for failed in found.failed)
     # Kay (1993), 3.14, with the power of the coloured noise at the line.
     power = 0.006**2 / abs(1.0 - 0.9 * np.exp(-2j * np.pi * 26.765 / 1000.0)) ** 2
     bound = 1000.0 * np.sqrt(12.0 * 2.0 * power / 0.05**2 / (2.0 * np.pi) ** 2 / t.size**3)

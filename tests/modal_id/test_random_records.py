@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from support.random_records import random_record
-from support.sampling import QUICK
+from kit.random_records import random_record
+from kit.series import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 # An answer is wrong beyond this number of stated standard deviations and beyond this share of the truth.
 MOST_SD = 4.0

@@ -4,12 +4,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
+from kit.series import QUICK, series_of
 from support.paths import REALDATA, REALDATA_ABSENT
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 FOLDER = REALDATA / "al_cantilever"
 

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,17 +11,14 @@ import threading
 import time
 
 import pytest
-from support.decay_clip import EXPERIMENT, write_decay
+from kit.films import EXPERIMENT, write_decay
 from support.paths import ROOT
 
-from modalcam import commands, plugins
+from modalcam import plugins
 from modalcam.commands import Options, _find, _inputs_key, report
-from modalcam.errors import InputError, ModalcamError
-from modalcam.execution.pool import Progress
-from modalcam.inputs.discover import Selection
-from modalcam.pipeline.saved import load_run
-from modalcam.storage.output_folder import Workspace
-from modalcam.storage.provenance import RememberedHashes, file_sha256
+from modalcam.common import InputError, ModalcamError
+from modalcam.inputs import Selection
+from modalcam.pipeline import Progress, RememberedHashes, Workspace, digest, file_sha256, load, load_run
 from sim.damping import registry
 
 pytestmark = pytest.mark.timeout(600)
@@ -45,6 +43,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 PAUSES = """
 import os
 import pathlib
+import sys
 import time
 
 import modal_id.identify
@@ -59,8 +58,8 @@ def paused(module, name):
         return function(*args, **kwargs)
     setattr(module, name, wait)
 
-paused(tracker.track, "track_source")
-paused(modal_id.identify, "identify")
+paused(sys.modules["tracker.track"], "track_source")
+paused(sys.modules["modal_id.identify"], "identify")
 """
 
 
@@ -86,12 +85,12 @@ def run(folder, out, *args):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Two recordings, one with damaged frames, and a plugin with a damping model selected in the configuration."""
+def folder(tmp_path_factory, decay_run):
+    """That of the shared run and one with damaged frames, and a plugin whose damping model is selected."""
     folder = tmp_path_factory.mktemp("commands")
     (folder / "videos").mkdir()
-    for name, seed in [("a", 1), ("b", 2)]:
-        write_decay(folder / "videos", name=name, seed=seed)
+    write_decay(folder / "videos", name="b", seed=2)
+    shutil.copy(decay_run / "videos" / "take.mkv", folder / "videos")
     damaged = bytearray((folder / "videos" / "b.mkv").read_bytes())
     middle = len(damaged) // 2
     damaged[middle : middle + 8] = bytes(255 - value for value in damaged[middle : middle + 8])
@@ -143,7 +142,7 @@ def test_a_damping_model_of_a_plugin_is_in_tables_and_report(out):
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {(row["recording"], row["model"]) for row in rows} == {
-        (name, model) for name in "ab" for model in ("generic", "toy_mean")
+        (name, model) for name in ("b", "take") for model in ("generic", "toy_mean")
     }
     assert "Toy mean damping" in (out / "report.html").read_text("utf-8")
 
@@ -188,8 +187,8 @@ def test_only_missing_or_edited_files_are_written_again(folder, out):
     unchanged = (out / "comparison.csv").stat().st_mtime_ns
     done, err = run(folder, out)
     assert done.returncode == 0, err
-    assert "identifying: reused a, b" in err
-    assert "filming the simulation: reused a, b" in err
+    assert "identifying: reused b, take" in err
+    assert "filming the simulation: reused b, take" in err
     assert "writing: reused" in err
     assert contents(out) == before
     assert (out / "comparison.csv").stat().st_mtime_ns == unchanged
@@ -202,13 +201,13 @@ def test_the_bytes_are_the_same_for_another_number_of_processes(folder, out, tmp
     assert contents(tmp_path / "out") == contents(out)
 
 
-@pytest.mark.usefixtures("in_process")
-def test_the_bytes_are_the_same_without_worker_processes(folder, out, tmp_path, toy_damping):
-    """Two processes computed `out`; its log is written by the command line."""
-    commands.run(folder / "videos", Options(tmp_path / "out", plugins=(toy_damping,)), Progress())
-    assert contents(tmp_path / "out") | {"run.log": contents(out)["run.log"]} == contents(out)
-    corrupt = {name: (out / "tracks" / f"{name}.csv").read_text().count("DECODE_CORRUPT") for name in "ab"}
-    assert corrupt["a"] == 0 < corrupt["b"], "one of the recordings is damaged"
+@pytest.mark.parametrize("stage", ["tracks", "modes", "frames"])
+def test_two_processes_compute_what_one_does(out, decay_run, stage):
+    """The recording that both runs have; the test above compares every byte, and test_dask those of all stages."""
+    found, alone = (digest(load(run / "state" / f"take.{stage}.npz")) for run in (out, decay_run / "out"))
+    assert found == alone
+    corrupt = [(out / "tracks" / f"{name}.csv").read_text().count("DECODE_CORRUPT") for name in ("take", "b")]
+    assert corrupt[0] == 0 < corrupt[1], "one of the recordings is damaged"
 
 
 def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatch, toy_damping):
@@ -226,18 +225,18 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     table = result.to_dataframe()
     assert list(table.columns) == list(rows[0])
     assert [f"{value!r}" for value in table["frequency_hz"]] == [row["frequency_hz"] for row in rows]
-    assert [recording.name for recording in result.recordings] == ["a", "b"]
-    assert all(r.tracks and r.comparison and r.simulated_footage for r in result.recordings)
+    assert [recording.name for recording in result.recordings] == ["b", "take"]
+    assert all(r.tracks and r.comparison and r.added["simulated"] for r in result.recordings)
     assert result.beam.updated is not None
 
 
 def test_a_run_with_a_missing_result_fails_with_advice(out, toy_damping):
-    path = Workspace(out).state("a", "modes")
+    path = Workspace(out).state("take", "modes")
     path.rename(path.with_suffix(".away"))
     try:
         result = load_run(out, (toy_damping,))
         with pytest.raises(
-            InputError, match=r"a\.modes\.npz: expected the result .* run the same command again"
+            InputError, match=r"take\.modes\.npz: expected the result .* run the same command again"
         ):
             _ = result.recordings
     finally:
@@ -332,11 +331,11 @@ def test_an_interrupt_finishes_and_saves_the_running_tasks(folder, tmp_path):
     (started.pauses / "track_source.go").touch()
     assert started.ends() == 130
     assert "run the same command again" in started.output()
-    assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"a.tracks.npz", "b.tracks.npz"}
+    assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"b.tracks.npz", "take.tracks.npz"}
     assert not list(out.glob("*.html"))
 
     again = Started(folder, out, tmp_path / "second", jobs=1)
-    again.wait_for("a: reused")
+    again.wait_for("b: reused")
     again.wait_for_pauses("identify", 1)
     again.interrupt()
     again.wait_for("finishing 1 recording")

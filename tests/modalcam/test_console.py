@@ -7,11 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-from modalcam.cli.app import app
+from modalcam.common import ExitCode
 from modalcam.console import FramePace, finish, problems, tracked
-from modalcam.errors import ExitCode, ModalcamError
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 
@@ -165,16 +163,6 @@ def test_frames_have_a_rate_and_a_time_left():
     pace.take("c", 500, 400)
     pace.take("b", 400, 400)
     assert pace.text(29.92) == "900 frames, 100 a second", "a file with more frames than it declares"
-
-
-@pytest.mark.parametrize("command", [("run", "."), ("identify", "a.csv"), ("markers",)])
-def test_results_are_not_written_to_standard_output(command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.csv").write_text("time_s,a\n", "utf-8")
-    result = CliRunner().invoke(app, [*command, "-o", "-"])
-    assert isinstance(result.exception, ModalcamError)
-    assert "expected the name of a file" in str(result.exception) or "give its name" in str(result.exception)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_without_a_recorded_rate_no_frequency_is_printed(tmp_path):

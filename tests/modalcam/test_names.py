@@ -3,7 +3,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalcam.names import csv_safe, natural_key, recording_names, shown
+from modalcam.common import csv_safe, natural_key, recording_names, shown
 
 file_names = st.text(st.characters(exclude_characters="/\0"), min_size=1, max_size=60)
 

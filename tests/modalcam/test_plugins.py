@@ -5,10 +5,9 @@ import importlib.metadata
 import pytest
 
 from modalcam import plugins
-from modalcam.errors import InputError
-from modalcam.execution.pool import worker_pool
+from modalcam.common import InputError
+from modalcam.pipeline import code_state, worker_pool
 from modalcam.plugins import is_ours, load_plugins, loaded_plugins, source_sha256
-from modalcam.storage.provenance import code_state
 
 
 @pytest.fixture
@@ -21,11 +20,11 @@ def folder(tmp_path, monkeypatch):
 
 def test_a_named_module_is_loaded_once_and_is_part_of_the_code(folder):
     (folder / "toy_once.py").write_text("LOADED = []\n")
-    before = code_state("modalcam.names")
+    before = code_state("modalcam.common")
     ((name, sha256),) = load_plugins(["toy_once"])
     assert (name, len(sha256)) == ("toy_once", 64)
     assert load_plugins(["toy_once"]) == loaded_plugins() == ((name, sha256),)
-    assert code_state("modalcam.names") != before
+    assert code_state("modalcam.common") != before
     assert is_ours("toy_once")
     assert is_ours("sim.beam")
     assert not is_ours("toy_once_more")

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+from kit.series import series_of
 
 from docs.reference_solutions import small_decay
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings, SamplerSettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import IdentifySettings, SamplerSettings, identify
+from sim import MEASURED_DAMPING_RATIO, paper_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-from tracker.results import DisplacementSeries
 
 
 @pytest.mark.parametrize(
@@ -23,16 +21,7 @@ def test_identification_recovers_generic_damping(number):
     run = small_decay(beam, modes, GenericDamping(MEASURED_DAMPING_RATIO), number, 1e-3, duration_s)
     # noise of 1e-5 of the amplitude: without noise, the posterior would be narrower than double precision
     noise = 1e-7 * np.random.default_rng(number).standard_normal(run.transverse_m.shape)
-    series = DisplacementSeries(
-        name="simulated",
-        time_s=run.time_s,
-        channels=("tip",),
-        values=1e3 * run.transverse_m + noise,
-        sd=np.full_like(run.transverse_m, np.nan),
-        unit="mm",
-        positions_mm=np.array([500.0]),
-        direction=(1.0, 0.0),
-    )
+    series = series_of(run.time_s, 1e3 * run.transverse_m + noise, "mm", positions_mm=np.array([500.0]))
     settings = IdentifySettings(
         mode=number,
         expected_frequencies_hz=tuple(modes.frequency_hz),

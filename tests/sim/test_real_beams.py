@@ -10,15 +10,18 @@ from scipy.optimize import brentq
 from support.exact_curvature import ExactCurvatureBeam
 from support.paths import REALDATA, REALDATA_ABSENT, ROOT
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
-from sim.beam.statics import BuckledBeamError, static_equilibrium
+from sim import paper_beam
+from sim.beam import (
+    AncfBeam,
+    BeamProperties,
+    BuckledBeamError,
+    ElasticClamp,
+    PointMass,
+    beam_modes,
+    static_equilibrium,
+)
 from sim.damping import GenericDamping, NoDamping, StillAir, WithAirDrag
-from sim.dynamics.excitation import released_state
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, State
-from sim.reference.paper_beam import paper_beam
+from sim.dynamics import BaseMotion, State, released_state, simulate
 
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 TIP = np.array([L])
@@ -256,7 +259,7 @@ def test_an_angled_uniform_beam_can_be_built():
     assert AncfBeam(beam).ndof == 84
 
 
-CANTILEVER_PAGE = ROOT / "docs" / "cantilever.md"
+CANTILEVER_PAGE = ROOT / "docs" / "studies" / "cantilever.md"
 CANTILEVER_DATA = REALDATA / "al_cantilever"
 
 

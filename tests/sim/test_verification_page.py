@@ -1,4 +1,4 @@
-"""The values in docs/verification.md match the computed ones."""
+"""The values in docs/studies/verification.md match the computed ones."""
 
 import importlib.util
 import re
@@ -7,7 +7,7 @@ import sys
 import pytest
 from support.paths import ROOT
 
-PAGE = ROOT / "docs" / "verification.md"
+PAGE = ROOT / "docs" / "studies" / "verification.md"
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_page_prints_the_computed_values(script, part):
     text = PAGE.read_text(encoding="utf-8")
     for figure in getattr(script, part)():
         row = re.search(rf"^\| {re.escape(figure.name)} \| (\S+) \| (\S*) \|$", text, re.MULTILINE)
-        assert row, f"the page has no row {figure.name!r}; run python docs/verification.py"
+        assert row, f"the page has no row {figure.name!r}; run python docs/studies/verification.py"
         printed = float(row[1])
         near = 1.0 / figure.spread <= figure.value / printed <= figure.spread
         assert near, f"{figure.name}: {printed} on the page, computed {figure.value:.4g}"

@@ -1,7 +1,6 @@
 """Compile the kernels that are missing, as the first run of a command does: ``python -m support.compile_kernels``."""
 
-from modalcam.execution.pool import Progress, worker_pool
-from modalcam.pipeline.compile import GROUPS, compile_kernels
+from modalcam.pipeline import GROUPS, Progress, compile_kernels, worker_pool
 
 if __name__ == "__main__":
     with worker_pool(len(GROUPS)) as pool:

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.beam.ancf import AncfBeam, from_band, shape_functions, to_band
-from tracker.arrays import FloatArray
+from sim.beam import AncfBeam, from_band, shape_functions, to_band
+from tracker import FloatArray
 
 GAUSS_POINTS = 5
 

@@ -9,19 +9,17 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from support import reader_cases as cases
+from kit import camera_files as cases
+from kit.mutations import flip
 
-from tracker.video.base import UnreadableVideoError
-from tracker.video.registry import open_recording
+from tracker.video import UnreadableVideoError, open_recording
 
 
 def damaged(data, rng):
-    """Corrupt bytes in the whole file or, every second time, in its first part, where the headers are."""
-    out = np.frombuffer(data, dtype=np.uint8).copy()
-    span = out.size if rng.integers(2) else min(out.size, 2000)
-    where = rng.integers(0, span, rng.integers(1, 40))
-    out[where] ^= rng.integers(1, 256, where.size).astype(np.uint8)
-    return out.tobytes()
+    """With corrupt bytes in the whole file or in its first part, where the headers are."""
+    out = bytearray(data)
+    flip(out, rng)
+    return bytes(out)
 
 
 def outcome(path):

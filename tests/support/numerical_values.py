@@ -9,21 +9,18 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from support.modal_decays import pole_of, series_of
-from support.tracker_scenes import FPS, Recording
+from kit.scenes import FPS, Recording
+from kit.series import pole_of, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.solve.poles import damping_ratio, frequency_hz
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.solve import damping_ratio, frequency_hz
+from sim import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.dynamics.excitation import released_state
-from sim.dynamics.simulate import simulate
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.dynamics import released_state, simulate
+from tracker import TrackerSettings, track
 
 ALONG_M = np.linspace(0.05, 0.5, 10)
 

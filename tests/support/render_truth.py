@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from sim.render.motion import Poses
+from sim.render import Poses
 
 
 def box_gauss(t, sigma):

@@ -8,7 +8,7 @@ import sys
 from support.worker_tasks import InThisProcess
 
 from modalcam import cli
-from modalcam.execution import pool
+from modalcam.pipeline import pool
 from modalcam.report.figures import registry
 
 if __name__ == "__main__":

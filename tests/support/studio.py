@@ -2,13 +2,13 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import urllib.error
 import urllib.request
 from contextlib import contextmanager
 
+from support.browser import chromium
 from support.paths import ROOT
 
 # A step of the page, and a run, on a busy machine.
@@ -28,7 +28,6 @@ AT_REST = """() => new Promise((done) => {
     };
     look();
 })"""
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 
 
 @contextmanager
@@ -66,8 +65,6 @@ def opened(address, *, expect_missing=False, **options):
 
     With `expect_missing`, the browser may report pictures that are not there.
     """
-    from playwright.sync_api import sync_playwright
-
     events = []
     own = address.split("?")[0]
 
@@ -79,13 +76,8 @@ def opened(address, *, expect_missing=False, **options):
         if not (expect_missing and "404 (Not Found)" in message.text):
             events.append(f"console: {message.type}: {message.text}")
 
-    with (
-        sync_playwright() as playwright,
-        playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
-        ) as chromium,
-    ):
-        context = chromium.new_context(**({"viewport": {"width": 1280, "height": 900}} | options))
+    with chromium() as browser:
+        context = browser.new_context(**({"viewport": {"width": 1280, "height": 900}} | options))
         context.on("request", requested)
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)

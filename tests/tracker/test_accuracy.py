@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from support.tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
+from kit.scenes import FPS, Recording, cramer_rao_px, errors_px
 
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, flags, track
 
 # An exposure of a hundredth of the time between frames, for films without blur: no path is as long as 0.1 px.
 SHORT_S = 1e-5

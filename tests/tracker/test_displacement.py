@@ -1,25 +1,20 @@
 """Displacement, scale and settings, against exact values."""
 
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
+from kit.tracks import tracks_of
 
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.geometry.scale import resolve_scale
-from tracker.position_errors import (
-    FORWARD_LAG,
-    FORWARD_SHRINKAGE,
-    LOSSLESS_SHARE,
-    LOSSY_SHRINKAGE,
-    SHRINKAGE,
-    SHRINKAGE_SD,
+from tracker import (
+    Scale,
+    TrackerSettings,
+    displacement_series,
+    flags,
+    position_errors,
 )
-from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
-from tracker.settings import TrackerSettings
-from tracker.template.compression import largest_sd, series_sd
+from tracker.geometry import resolve_scale
+from tracker.template import largest_sd, series_sd
 
 
 def tracks(n=200, scale=None, reference=()):
@@ -29,23 +24,8 @@ def tracks(n=200, scale=None, reference=()):
     x = np.array([100.0, 110.0, 120.0]) + s * np.array([1.0, 2.0, 0.0]) + base
     # y points down in the image: this motion is to the right and up.
     y = np.array([50.0, 100.0, 150.0]) - 0.5 * s * np.array([1.0, 2.0, 0.0])
-    sd = np.full((n, 3), 0.01)
-    decode = DecodeReport("ffv1", "gray", 640, 480, 8, n, n, 0, lossy=False)
-    return MarkerTracks(
-        recording="r",
-        markers=("m1", "m2", "m3"),
-        frame=np.arange(n),
-        time_s=t,
-        x_px=x,
-        y_px=y,
-        sd_x_px=sd,
-        sd_y_px=sd.copy(),
-        flags=np.zeros((n, 3), np.uint32),
-        positions_mm=np.array([10.0, 60.0, 110.0]),
-        scale=scale,
-        time_axis=TimeAxis("user", Fraction(100)),
-        decode=decode,
-        reference=reference,
+    return tracks_of(
+        x, y, fps=100, positions_mm=np.array([10.0, 60.0, 110.0]), scale=scale, reference=reference
     )
 
 
@@ -143,7 +123,9 @@ def test_position_errors_follow_the_marker_along_both_axes_of_the_image():
             assert np.nanmax(np.abs(placed - positions)) < 0.25
         # A share of the sd of 0.01 px of each marker, split between the axes by the direction.
         size = np.sqrt(np.sum(errors.periodic_sd**2, axis=0))
-        assert size == pytest.approx(LOSSLESS_SHARE * 0.01 * (1.0 if unit == "px" else 0.5), rel=1e-6)
+        assert size == pytest.approx(
+            position_errors.TUNING.lossless_share * 0.01 * (1.0 if unit == "px" else 0.5), rel=1e-6
+        )
 
 
 def test_errors_of_predicted_frames_are_those_of_the_moving_part():
@@ -164,14 +146,19 @@ def test_position_errors_depend_on_the_codec():
         errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
         assert (errors.periodic_sd.size == 0) == predictive
         # The sd of each position is 0.01 px.
-        assert errors.shrinkage_sd == pytest.approx(0.01 * (SHRINKAGE_SD if predictive else LOSSY_SHRINKAGE))
-        assert errors.shrinkage == pytest.approx(0.01 * FORWARD_SHRINKAGE if predictive else 0.0)
-        assert errors.lag == pytest.approx(0.01 * FORWARD_LAG if predictive else 0.0)
+        assert errors.shrinkage_sd == pytest.approx(
+            0.01
+            * (position_errors.TUNING.shrinkage_sd if predictive else position_errors.TUNING.lossy_shrinkage)
+        )
+        assert errors.shrinkage == pytest.approx(
+            0.01 * position_errors.TUNING.forward_shrinkage if predictive else 0.0
+        )
+        assert errors.lag == pytest.approx(0.01 * position_errors.TUNING.forward_lag if predictive else 0.0)
         # 1000 px from frame to frame: encoders that predict follow, the others change frames whatever the motion.
         assert errors.omitted(0, np.array([1e3])) == pytest.approx(0.0 if predictive else 1.0, abs=1e-9)
         assert errors.period_px == 8.0
     # Frames predicted from later ones, too, do not lag on average.
     decode = replace(lossless.decode, lossy=True, predictive=True, reordered=True)
     errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
-    assert errors.shrinkage == pytest.approx(0.01 * SHRINKAGE)
+    assert errors.shrinkage == pytest.approx(0.01 * position_errors.TUNING.shrinkage)
     assert errors.lag == pytest.approx(0.0)

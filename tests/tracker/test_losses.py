@@ -2,17 +2,14 @@
 
 import tracemalloc
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
+from kit.tracks import decoded, tracks_of
 
-from modal_id.data.prepare import prepare
-from modal_id.identify import identify
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.losses import misleading_losses
-from tracker.results import DecodeReport, MarkerTracks, TimeAxis
+from modal_id import identify
+from modal_id.data import prepare
+from tracker import displacement_series, flags, misleading_lost_markers
 
 FPS, FREQUENCY_HZ, ZETA = 60.0, 0.9758, 8e-4
 
@@ -25,21 +22,8 @@ def pendulum(seen, n=600, other=0):
     x = np.where(found, 320 + swing + 0.02 * np.random.default_rng(0).standard_normal(n), np.nan)[:, None]
     marks = np.where(found, 0, other or flags.NOT_FOUND.value).astype(np.uint32)[:, None]
     y, sd = np.where(np.isnan(x), np.nan, 120.0), np.where(np.isnan(x), np.nan, 0.02)
-    decode = DecodeReport("ffv1", "gray", 640, 240, 8, n, n, 0, lossy=False)
-    return MarkerTracks(
-        recording="r",
-        markers=("m1",),
-        frame=np.arange(n),
-        time_s=t,
-        x_px=x,
-        y_px=y,
-        sd_x_px=sd,
-        sd_y_px=sd.copy(),
-        flags=marks,
-        positions_mm=np.array([np.nan]),
-        scale=None,
-        time_axis=TimeAxis("user", Fraction(60)),
-        decode=decode,
+    return tracks_of(
+        x, y, fps=FPS, sd_x_px=sd, sd_y_px=sd.copy(), flags=marks, decode=decoded(n, size=(640, 240))
     )
 
 
@@ -47,7 +31,7 @@ def pendulum(seen, n=600, other=0):
 def test_a_ball_seen_near_one_turning_point_only_gives_no_mode(above_px):
     """Seen in a third or a fifth of each cycle, as where blur hides it; a fraction of the frequency fits as well."""
     tracks = pendulum(lambda swing, t: swing > above_px * np.exp(-ZETA * 2 * np.pi * FREQUENCY_HZ * t))
-    ((name, reason),) = misleading_losses(tracks)
+    ((name, reason),) = misleading_lost_markers(tracks)
     assert name == "m1"
     assert "same phase of its motion" in reason
     repeats = float(reason.split("repeat ")[1].split(" times")[0])
@@ -62,7 +46,7 @@ def test_a_pause_of_hours_takes_no_memory():
     n = tracks.time_s.size
     paused = replace(tracks, time_s=tracks.time_s + np.where(np.arange(n) < n // 4, 0.0, 1e5))
     tracemalloc.start()
-    ((name, _),) = misleading_losses(paused)
+    ((name, _),) = misleading_lost_markers(paused)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert name == "m1", "the longer part is that of the test above"
@@ -99,7 +83,7 @@ def hidden_at_random(swing, t):
 )
 def test_other_losses_leave_the_frequency_determined(seen):
     tracks = pendulum(seen)
-    assert misleading_losses(tracks) == ()
+    assert misleading_lost_markers(tracks) == ()
     mode = identify(displacement_series(tracks)).modes[0]
     # Gaps are left out of the fit, which stays right: within 4 of its stated sd.
     draws = mode.posterior.frequency_hz
@@ -109,4 +93,4 @@ def test_other_losses_leave_the_frequency_determined(seen):
 @pytest.mark.parametrize("flag", [flags.DUPLICATE_FRAME, flags.DECODE_CORRUPT, flags.OTHER_RATE])
 def test_frames_in_which_nothing_can_be_measured_are_not_losses(flag):
     tracks = pendulum(lambda _, t: np.arange(t.size) % 2 == 0, other=flag.value)
-    assert misleading_losses(tracks) == (), f"{flag.name} in every second frame"
+    assert misleading_lost_markers(tracks) == (), f"{flag.name} in every second frame"

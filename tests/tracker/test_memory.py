@@ -8,12 +8,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from kit.scenes import Recording
 
-from tests.support.tracker_scenes import Recording
-from tracker.follow.frame_results import CHUNK_ROWS, RowStore
-from tracker.settings import TrackerSettings
-from tracker.track import track_source
-from tracker.video.base import Frame, SourceInfo
+from tracker import TrackerSettings, track_source
+from tracker.follow import RowStore, fits
+from tracker.video import Frame, SourceInfo
 
 MARKERS = 1
 
@@ -87,7 +86,7 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
     _peak_while_tracking(images, 210)  # compiles
     more = _peak_while_tracking(images, long) - _peak_while_tracking(images, short)
     per_row = 36 * MARKERS
-    allowed = per_row * (long - short + CHUNK_ROWS) + 100 * (long - short) + 10 * images[0].nbytes
+    allowed = per_row * (long - short + fits.TUNING.chunk_rows) + 100 * (long - short) + 10 * images[0].nbytes
     assert more < allowed, (
         f"{long - short} more frames took {more} more bytes; allowed with a margin of ten frames: {allowed}"
     )
@@ -96,7 +95,7 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
 def test_rows_are_returned_in_the_requested_order() -> None:
     """Against the stored rows, across the boundary of two chunks."""
     rng = np.random.default_rng(5)
-    n = CHUNK_ROWS + 7
+    n = fits.TUNING.chunk_rows + 7
     values = rng.normal(size=(n, 4, 3))
     marks = rng.integers(0, 100, (n, 3)).astype(np.uint32)
     store = RowStore(3)

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import RectBivariateSpline
 
-from sim.render.video import write_video
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.render import write_video
+from tracker import TrackerSettings, flags, track
 
 FPS = Fraction(250)
 WIDTH_PX, HEIGHT_PX = 160, 96

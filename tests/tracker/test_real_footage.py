@@ -6,36 +6,17 @@ from fractions import Fraction
 import cv2
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
-from support import tracker_media as media
+from kit import films as media
+from kit.series import least_squares_fit
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
-from tracker import flags
-from tracker.markers.aruco import ArucoDetector
-from tracker.markers.codes import opencv_detector, read_codes
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.ffmpeg import VideoSource
+from tracker import TrackerSettings, flags, track
+from tracker.markers import ArucoDetector, opencv_detector, read_codes
+from tracker.video import VideoSource
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 FORK = REAL / "tuning_forks" / "tuning_hz32_fps1000_50-1_640x420.mp4"
-
-
-def fitted_hz(time_s, values, start_hz=32.0):
-    """Frequency of a damped sine on a cubic trend, by least squares, independent of the program."""
-    found = np.isfinite(values)
-    t, y = time_s[found], values[found]
-
-    def residual(p):
-        w = 2 * np.pi * p[0]
-        decay = np.exp(-p[1] * w * t)
-        trend = [(t - t.mean()) ** k for k in range(4)]
-        design = np.stack([decay * np.cos(w * t), decay * np.sin(w * t), *trend], axis=1)
-        return y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-
-    fit = least_squares(residual, [start_hz, 3e-4], x_scale=[0.01, 1e-4])
-    return fit.x[0], float(np.std(fit.fun))
 
 
 @pytest.mark.parametrize(
@@ -68,7 +49,7 @@ def test_forks_before_bricks_are_followed_in_every_frame(name, points, frequency
     # others in proportion to their number to the power -3/2. Three and a third times that is allowed.
     allowed_hz = 0.01 * (888 / frames) ** 1.5
     for k in range(2):
-        found_hz = fitted_hz(tracks.time_s, tracks.x_px[:, k], frequency_hz)[0]
+        found_hz = least_squares_fit(tracks.time_s, tracks.x_px[:, k], frequency_hz)[0]
         assert found_hz == pytest.approx(frequency_hz, abs=allowed_hz), f"patch {k + 1}: {found_hz:.3f} Hz"
 
 
@@ -138,21 +119,3 @@ def test_photographs_match_their_reference_ids_and_corners(name, dictionary, ref
     # The reference corners are whole pixels, from a detector without refinement.
     worst = max(float(np.abs(corners[i] - reference[i]).max()) for i in reference)
     assert worst <= 1.0, f"{name}: a corner is {worst:.2f} px from the reference"
-
-
-@pytest.mark.parametrize(
-    ("name", "frames", "size", "rate"),
-    [
-        ("data_small_cine.cine", 235, (256, 32), 100),
-        ("cine_legacy.cine", 97, (128, 128), 35087),
-        ("cine_781.cine", 15, (256, 256), 90000),
-    ],
-)
-def test_cine_files_match_their_headers(name, frames, size, rate):
-    source = VideoSource(REAL / "highspeed_formats" / name)
-    read = list(source.frames())
-    assert len(read) == frames
-    assert all(f.image is not None for f in read)
-    assert (source.info.width_px, source.info.height_px) == size
-    assert source.info.header_rate == rate
-    assert read[0].image.dtype == np.uint16

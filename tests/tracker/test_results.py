@@ -2,7 +2,7 @@
 
 import pytest
 
-from tracker.results import DecodeReport
+from tracker import DecodeReport
 
 
 def report(declared, decoded, corrupt=0):

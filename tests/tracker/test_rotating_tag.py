@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sim.render.video import write_video
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from sim.render import write_video
+from tracker import TrackerSettings, track
 
 HEIGHT_PX, WIDTH_PX, SIDE_PX, SUBPIXELS, BLUR_PX, NOISE = 130, 170, 40.0, 6, 0.7, 1.5
 CENTRE_PX, RADII_PX, FRAMES_A_TURN = (85.3, 64.6), (40.0, 25.0), 40.0

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.camera_motion import CameraCase, answer, film
-from tracker.displacement import displacement_series
+from tracker import ScaleChange, displacement_series
 from tracker.markers import aruco
-from tracker.scale_change import ScaleChange
 
 ZOOM = CameraCase(zoom=0.02)
 

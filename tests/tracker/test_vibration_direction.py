@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.vibration_direction import stronger_across, vibration_direction
+from tracker import stronger_across, vibration_direction
 
 N, FPS = 888, 250.0
 T = np.arange(N) / FPS

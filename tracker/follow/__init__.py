@@ -1,1 +1,5 @@
 """Tracking of calibrated markers from frame to frame: prediction, registration, recovery, flags."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

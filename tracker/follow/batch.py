@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,24 +10,43 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tracker import flags
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
-from tracker.register import kernel
-from tracker.register.acceptance import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation
-from tracker.register.poor_fit import reconsider
+from tracker.register import acceptable, correlation, kernel, reconsider
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """When a fit needs closer examination."""
+
+    #: [1] correlation of a fit that a search found
+    #: convention: then a neighbouring marker of similar appearance is the main risk
+    least_correlation_after_search: float = 0.92
+    #: [1] below it the shape of a marker that decodes it is measured again
+    refresh_correlation: float = 0.97
+    #: [1] of its size, within which two positions are those of one marker
+    #: convention: two markers do not overlap
+    coincident: float = 0.4
+
+
+TUNING = Tuning()
+# Frozen into compiled code.
+LEAST_CORRELATION = ACCEPTANCE.least_correlation
+GOOD_CHI2 = ACCEPTANCE.good_chi2
+EDGE_SHARE = ACCEPTANCE.edge_share
+SATURATED_SHARE = ACCEPTANCE.saturated_share
+BLURRED_PX = ACCEPTANCE.blurred_px
+POOR_SD = ACCEPTANCE.poor_sd
+POOR_RATIO = ACCEPTANCE.poor_ratio
+REFRESH_CORRELATION = TUNING.refresh_correlation
+COINCIDENT = TUNING.coincident
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
 # Outcome of `follow_plain`.
 UNTOUCHED, REGISTERED, FOLLOWED = 0, 1, 2
 
-# After a search, a neighbouring marker of similar appearance is the main risk.
-LEAST_CORRELATION_AFTER_SEARCH = 0.92
-# Below this correlation the shape of a marker that decodes it is measured again.
-REFRESH_CORRELATION = 0.97
-# Below this visible share a marker is flagged as touching the edge.
-EDGE_SHARE = 0.98
-COINCIDENT = 0.4
 NOT_FOUND, EDGE, SATURATED, BLURRED, POOR_FIT = (
     flag.value for flag in (flags.NOT_FOUND, flags.EDGE, flags.SATURATED, flags.BLURRED, flags.POOR_FIT)
 )
@@ -180,12 +200,11 @@ def store_fits(
         out[3, k] = result[kernel.SD_Y] * enlarged
         if result[kernel.SEEN] < EDGE_SHARE:
             marks[k] |= EDGE
-        if result[kernel.SATURATED] > 0.01 * pixels:
+        if result[kernel.SATURATED] > SATURATED_SHARE * pixels:
             marks[k] |= SATURATED
-        if np.hypot(frame.motion[k, 0], frame.motion[k, 1]) > 1.0:
+        if np.hypot(frame.motion[k, 0], frame.motion[k, 1]) > BLURRED_PX:
             marks[k] |= BLURRED
-        # Six standard deviations of chi-square per degree of freedom, and half as much again as typical.
-        if chi2 > max(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * limits[k, TYPICAL_CHI2], 1.5):
+        if chi2 > max(1.0 + POOR_SD * np.sqrt(2.0 / pixels), POOR_RATIO * limits[k, TYPICAL_CHI2]):
             marks[k] |= POOR_FIT
         if np.isfinite(result[kernel.GAIN]):
             for i in range(kernel.STATE):

@@ -1,16 +1,42 @@
-"""Registration of single markers, starting from their last good state."""
+"""Registration of single markers, starting from their last good state.
+
+Storage of results while the length of the recording is not yet known.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.acceptance import TUNING as ACCEPTANCE
+from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.batch import LIMITS, LastSeen, MarkerArrays
-from tracker.register import kernel
-from tracker.register.acceptance import LEAST_CORRELATION, acceptable
-from tracker.register.marker import Camera, MarkerModel, contrast_state, register
-from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
-from tracker.template.spline import Template
+from tracker.register import (
+    Camera,
+    MarkerModel,
+    acceptable,
+    contrast_state,
+    kernel,
+    register,
+)
+from tracker.template import BlurBank, Template, is_blur, seen_from_marker
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Registration of single markers."""
+
+    #: [frames] of an array of results
+    #: convention: enough that few arrays are needed, few enough that an unfinished one costs little memory
+    chunk_rows: int = 1024
+    #: [px] from the prediction at which a fit fails
+    shift_px: float = 4.0
+    #: [1] of the marker's size that is added
+    shift_share: float = 0.2
+
+
+TUNING = Tuning()
 
 
 class Fits:
@@ -33,13 +59,15 @@ class Fits:
         model = self.models[k]
         self.arrays.warps[k] = warp
         self.arrays.layout[k, 3] = model.template.stride(warp)
-        reach, largest_shift = model.template.image_reach_px(warp), 4.0 + 0.2 * model.detection.size_px
-        self.arrays.scales[k] = (model.template.oversampling, reach, largest_shift)
+        shift_px = TUNING.shift_px + TUNING.shift_share * model.detection.size_px
+        reach_px = model.template.image_reach_px(warp)
+        self.arrays.scales[k] = (model.template.oversampling, reach_px, shift_px)
 
     def accepted(
-        self, k: int, result: FloatArray, least: float = LEAST_CORRELATION, gain: float | None = None
+        self, k: int, result: FloatArray, least: float | None = None, gain: float | None = None
     ) -> bool:
         """Whether the fit of marker k is the marker, by its last gain unless another is given."""
+        least = ACCEPTANCE.least_correlation if least is None else least
         gain = self.last.states[k, kernel.GAIN] if gain is None else gain
         return bool(acceptable(result, gain, self.arrays.limits[k, 0], least))
 
@@ -54,7 +82,7 @@ class Fits:
         elif model.detection.kind.decodes_shape:
             start[kernel.ANGLE] = 0.0
         template = model.template
-        if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
+        if is_blur(np.hypot(motion[0], motion[1])):
             path = seen_from_marker(np.stack([motion, np.zeros(2)]), warp, start[kernel.ANGLE])
             template = self._banks[k].get(path[0])
         return self._register(image, k, start, warp, template)
@@ -114,3 +142,29 @@ def _marker_arrays(models: tuple[MarkerModel, ...]) -> MarkerArrays:
         np.array([m.centre_uv for m in models]),
         np.array(limits, dtype=np.float64).reshape(-1, LIMITS),
     )
+
+
+class RowStore:
+    """Results of m markers frame by frame: 36 m bytes per row, without an object for each."""
+
+    def __init__(self, markers: int) -> None:
+        self._markers = markers
+        self._values: list[FloatArray] = []
+        self._flags: list[FlagArray] = []
+        self._count = 0
+
+    def append(self, values: FloatArray, flags: FlagArray) -> None:
+        """Copy the result of a frame: q values of m markers, x, y and their sd in px first, and flags, shape (m,)."""
+        row = self._count % TUNING.chunk_rows
+        if row == 0:
+            self._values.append(np.empty((len(values), TUNING.chunk_rows, self._markers)))
+            self._flags.append(np.empty((TUNING.chunk_rows, self._markers), dtype=np.uint32))
+        self._values[-1][:, row] = values
+        self._flags[-1][row] = flags
+        self._count += 1
+
+    def columns(self, order: IntArray) -> tuple[FloatArray, FlagArray]:
+        """Values of shape (q, n, m) and flags of shape (n, m), with the rows in the given order."""
+        no_flags = np.empty((0, self._markers), dtype=np.uint32)
+        values = np.concatenate(self._values or [np.empty((4, 0, self._markers))], axis=1)[:, order]
+        return values, np.concatenate([no_flags, *self._flags])[order]

@@ -10,13 +10,12 @@ from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
 from tracker.follow.fits import Fits
-from tracker.follow.look_alikes import LookAlikes
 from tracker.follow.predict import Predictor
-from tracker.follow.recovery import Recovery
-from tracker.markers.base import LookAlikeDetector, MarkerDetector
-from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel
-from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
+from tracker.follow.recovery import Recovery, SimilarMarkers
+from tracker.markers import MarkerDetector, SimilarMarkerDetector
+from tracker.register import Camera, MarkerModel, kernel
+from tracker.template import blur as motion_blur
+from tracker.template import exposed_path_px, is_blur, path_length_px
 
 OWN_FLAGS = batch.NOT_FOUND | batch.EDGE | batch.SATURATED | batch.BLURRED | batch.POOR_FIT
 
@@ -44,9 +43,9 @@ class Follower:
         self._exposure_share = exposure_share
         self._fits = Fits(models, camera)
         self._recovery = Recovery(self._fits, detector)
-        self._look_alikes: LookAlikes | None = None
-        if isinstance(detector, LookAlikeDetector):
-            self._look_alikes = LookAlikes(self._fits, detector, self._recovery)
+        self._similar: SimilarMarkers | None = None
+        if isinstance(detector, SimilarMarkerDetector):
+            self._similar = SimilarMarkers(self._fits, detector, self._recovery)
         self._predictor = Predictor(len(models))
         self._pending: _Pending | None = None
         for k, model in enumerate(models):
@@ -85,10 +84,11 @@ class Follower:
         """Positions of all markers in the next frame; final one frame later."""
         frame = batch.frame_arrays(self.markers)
         self._recovery.next_frame()
-        joint = self._look_alikes
+        joint = self._similar
         # Where identities are in doubt, a fit of the right appearance proves nothing: no frame is followed plainly.
         doubt = joint is not None and joint.is_doubtful()
-        most_blur_px = -1.0 if doubt else SMALLEST_PX if self._exposure_share > 0.0 else np.inf
+        least_px = motion_blur.TUNING.smallest_px
+        most_blur_px = -1.0 if doubt else least_px if self._exposure_share > 0.0 else np.inf
         outcome = batch.follow_plain(
             image,
             self._predictor.memory,
@@ -117,7 +117,7 @@ class Follower:
         self._store(frame)
         frame.marks[ambiguous] |= np.uint32(flags.AMBIGUOUS.value)
         self._complete()
-        if self._exposure_share > 0.0 and np.hypot(*frame.motion.T).max() >= SMALLEST_PX:
+        if self._exposure_share > 0.0 and is_blur(np.hypot(*frame.motion.T).max()):
             self._pending = _Pending(image, frame, marks, warps)
         return frame
 
@@ -152,7 +152,7 @@ class Follower:
         for k in range(self.markers):
             path = exposed_path_px(motion[k], bend[k], self._exposure_share)
             first = results[k]
-            if not np.all(np.isfinite(first[: kernel.STATE])) or not path_length_px(path) >= SMALLEST_PX:
+            if not np.all(np.isfinite(first[: kernel.STATE])) or not is_blur(path_length_px(path)):
                 continue
             again = self._fits.register_along(pending.image, k, first, pending.warps[k], path)
             if self._fits.accepted(k, again, gain=first[kernel.GAIN]):

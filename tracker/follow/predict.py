@@ -8,19 +8,16 @@ import numpy as np
 from numba import njit
 
 from tracker.arrays import BoolArray, FloatArray, IntArray
+from tracker.prediction import AHEAD
+from tracker.prediction import TUNING as PREDICTION
 
-# Extrapolation by polynomials of degree 0 to 3 through the last positions, the latest first.
-WEIGHTS = np.array(
-    [[1.0, 0.0, 0.0, 0.0], [2.0, -1.0, 0.0, 0.0], [3.0, -3.0, 1.0, 0.0], [4.0, -6.0, 4.0, -1.0]]
-)
+# Frozen into compiled code.
+NEWEST_SHARE = PREDICTION.newest_share
+LARGEST_ERROR_PX = PREDICTION.largest_error_px
+LONGEST_EXTRAPOLATION = PREDICTION.longest_extrapolation
+
 # The parabola through three positions at the four times before them, the latest first.
 BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [15.0, -24.0, 10.0]])
-# Share of the newest error in the running mean that selects the degree.
-NEWEST_SHARE = 0.2
-# A degree is judged by errors of at most a marker's distance, else one jump dominates for long.
-LARGEST_ERROR_PX = 10.0
-# A lost marker is extrapolated for this many frames; then the search is centred on its last position.
-LONGEST_EXTRAPOLATION = 4
 
 
 class Memory(NamedTuple):
@@ -43,7 +40,7 @@ def _guess(past: FloatArray, degree: int, guess: FloatArray) -> None:
     for c in range(2):
         total = 0.0
         for j in range(degree + 1):
-            total += WEIGHTS[degree, j] * past[j, c]
+            total += AHEAD[degree, j] * past[j, c]
         guess[c] = total
 
 

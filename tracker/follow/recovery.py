@@ -1,26 +1,63 @@
-"""Recovery of lost markers, and removal of fits that coincide with another marker."""
+"""Recovery of lost markers, one by one or all of the same appearance together, and removal of coincident fits."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from tracker import flags
-from tracker.arrays import FlagArray, FloatArray, GrayImage
+from tracker.acceptance import TUNING as ACCEPTANCE
+from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
+from tracker.follow.batch import COINCIDENT, FrameArrays
 from tracker.follow.fits import Fits
-from tracker.markers.base import Detection, MarkerDetector
-from tracker.register import kernel
-from tracker.register.acceptance import GOOD_CHI2, correlation
-from tracker.register.search import coarse_search
-from tracker.template.blur import SMALLEST_PX
+from tracker.markers import (
+    Assignment,
+    CommonMotion,
+    Detection,
+    Expectation,
+    MarkerDetector,
+    Scene,
+    SimilarMarkerDetector,
+    assign,
+    completed,
+)
+from tracker.register import coarse_search, correlation, kernel
+from tracker.template import is_blur
 
-# The shape of a marker that decodes it is measured again at most once in this many frames.
-REFRESH_EVERY = 5
-# Detection in the whole image is slow: after this many frames without success it is tried only occasionally.
-PATIENCE = 200
-IMPATIENT_EVERY = 10
-# Accuracy of corners alone: the sd of a position that no fit confirms.
-DETECTION_SD_PX = 0.5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Search for lost markers."""
+
+    #: [frames] in which the shape of a marker is measured again at most once
+    #: convention: limits time
+    refresh_every: int = 5
+    #: [frames] without success after which a marker is sought only occasionally
+    #: convention: detection in the whole image is slow
+    patience: int = 200
+    #: [frames] in which it then is sought once
+    #: convention: limits time
+    impatient_every: int = 10
+    #: [px] sd of a position from corners alone, which no fit confirms
+    #: convention: corners found in one frame err by some tenths of a px
+    detection_sd_px: float = 0.5
+    #: [1] of the spacing between markers, by which predictions err where identities are in doubt
+    #: physics: half of the distance at which a neighbour is as near
+    doubtful: float = 0.25
+    #: [px] search about the last position, at least
+    reach_px: float = 8.0
+    #: [1] of the marker's size that is added
+    reach_size: float = 0.5
+    #: [px] that are added for each frame since it was lost
+    reach_step_px: float = 4.0
+    #: [frames] for which they are
+    #: convention: limits time
+    most_steps: int = 15
+
+
+TUNING = Tuning()
 
 
 class Recovery:
@@ -29,7 +66,7 @@ class Recovery:
     def __init__(self, fits: Fits, detector: MarkerDetector) -> None:
         self._fits = fits
         self._detector = detector
-        self._since_refresh = np.full(len(fits.models), REFRESH_EVERY)
+        self._since_refresh = np.full(len(fits.models), TUNING.refresh_every)
 
     def next_frame(self) -> None:
         """Count a frame since each marker's shape was last measured."""
@@ -38,7 +75,8 @@ class Recovery:
     def nearby(self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray) -> tuple[FloatArray, int]:
         """Search a window that grows with the time since the loss; a failed result when nothing fits."""
         fits, model = self._fits, self._fits.models[k]
-        wider = 8.0 + 0.5 * model.detection.size_px + 4.0 * min(fits.last.lost[k], 15)
+        wider = TUNING.reach_px + TUNING.reach_size * model.detection.size_px
+        wider += TUNING.reach_step_px * min(fits.last.lost[k], TUNING.most_steps)
         for centre in (aim, fits.last.states[k, :2]):
             if not np.all(np.isfinite(centre)):
                 continue
@@ -48,7 +86,7 @@ class Recovery:
                 continue
             for blur in blurs(motion):
                 result = fits.register(image, k, found, blur)
-                if fits.accepted(k, result, batch.LEAST_CORRELATION_AFTER_SEARCH):
+                if fits.accepted(k, result, batch.TUNING.least_correlation_after_search):
                     return result, flags.RECOVERED.value
         return failed(), 0
 
@@ -68,13 +106,13 @@ class Recovery:
 
     def _is_wanted(self, k: int, result: FloatArray) -> bool:
         model, lost = self._fits.models[k], self._fits.last.lost[k]
-        if result[kernel.CONVERGED] == 0.0 and (lost < PATIENCE or lost % IMPATIENT_EVERY == 0):
+        if result[kernel.CONVERGED] == 0.0 and (lost < TUNING.patience or lost % TUNING.impatient_every == 0):
             return True
         return bool(
             model.detection.kind.decodes_shape
             and correlation(result) < batch.REFRESH_CORRELATION
-            and result[kernel.CHI2] > GOOD_CHI2 * max(1.0, model.chi2)
-            and self._since_refresh[k] >= REFRESH_EVERY
+            and result[kernel.CHI2] > ACCEPTANCE.good_chi2 * max(1.0, model.chi2)
+            and self._since_refresh[k] >= TUNING.refresh_every
         )
 
     def _last_seen(self, k: int) -> Detection:
@@ -125,7 +163,7 @@ class Recovery:
 def blurs(motion: FloatArray) -> list[FloatArray]:
     """Motions to search with: the predicted one, and none, as a lost marker may have stopped."""
     still = np.zeros(2)
-    return [motion, still] if np.hypot(motion[0], motion[1]) >= SMALLEST_PX else [still]
+    return [motion, still] if is_blur(np.hypot(motion[0], motion[1])) else [still]
 
 
 def failed() -> FloatArray:
@@ -139,6 +177,94 @@ def _corners_only(centre: FloatArray) -> FloatArray:
     """Result of a detection that no fit confirms."""
     result = np.full(kernel.RESULT, np.nan)
     result[[kernel.X, kernel.Y]] = centre
-    result[[kernel.SD_X, kernel.SD_Y]] = DETECTION_SD_PX
+    result[[kernel.SD_X, kernel.SD_Y]] = TUNING.detection_sd_px
     result[[kernel.CONVERGED, kernel.CHI2, kernel.SEEN, kernel.SATURATED]] = (1.0, 1.0, 1.0, 0.0)
     return result
+
+
+class SimilarMarkers:
+    """Assigns fits and detected candidates of a frame to markers that only their order distinguishes.
+
+    A fit that matches the template proves that there is a marker, not which: a lost marker is therefore never taken
+    from the surroundings of its last position, but from the assignment of everything seen to all markers together.
+    """
+
+    def __init__(self, fits: Fits, detector: SimilarMarkerDetector, recovery: Recovery) -> None:
+        self._fits, self._detector, self._recovery = fits, detector, recovery
+        self._sizes = np.array([m.detection.size_px for m in fits.models])
+        self._size_px = float(np.median(self._sizes))
+        first = np.array([_first_position(m.states, m.detection.x_px, m.detection.y_px) for m in fits.models])
+        self._motion = CommonMotion(first, self._size_px)
+
+    def is_doubtful(self) -> bool:
+        """Whether a marker is lost, or predictions have failed lately; to be called once a frame."""
+        last = self._fits.last
+        lost = last.lost > 0
+        self._motion.saw(np.where(lost[:, None], np.nan, last.states[:, :2]))
+        return bool(lost.any()) or self._motion.is_unpredictable(TUNING.doubtful)
+
+    def resolve(self, image: GrayImage, frame: FrameArrays) -> BoolArray:
+        """Replace the results of a frame by those of the joint assignment; markers that stay ambiguous, shape (m,)."""
+        fits, lost = self._fits, self._fits.last.lost
+        markers = range(len(fits.models))
+        accepted = np.array([fits.accepted(k, frame.results[k]) for k in markers])
+        if self._may_wait(accepted):
+            for k in np.flatnonzero(lost > 0).tolist():
+                frame.results[k] = failed()
+            return np.zeros(len(accepted), dtype=bool)
+        for k in np.flatnonzero(~accepted).tolist():
+            frame.results[k], frame.marks[k] = self._recovery.nearby(image, k, frame.aims[k], frame.motion[k])
+            accepted[k] = frame.results[k, kernel.CONVERGED] != 0.0
+        scene = self._scene(image, frame, self._motion.expect(frame.aims, lost == 0), accepted)
+        found = assign(scene)
+        for k in markers:
+            self._take(image, k, frame, scene, found, own=bool(accepted[k]))
+        self._recovery.drop_coinciding(frame.results, scene.expected_px)
+        self._motion.assigned(found.motion_px, completed(frame.results[:, :2], self._motion.form_px))
+        # Found by a search, but never lost.
+        frame.marks[lost == 0] &= ~np.uint32(flags.RECOVERED.value)
+        return found.ambiguous
+
+    def _may_wait(self, accepted: BoolArray) -> bool:
+        """Whether only markers are missing that have been for long, and it is not their turn."""
+        lost = self._fits.last.lost
+        waiting = (lost >= TUNING.patience) & (lost % TUNING.impatient_every != 0)
+        return bool(
+            np.all(waiting | ((lost == 0) & accepted)) and not self._motion.is_unpredictable(TUNING.doubtful)
+        )
+
+    def _scene(
+        self, image: GrayImage, frame: FrameArrays, expected: Expectation, accepted: BoolArray
+    ) -> Scene:
+        """Candidates of the detector and accepted fits without one: blur hides dots from a detector."""
+        sought = tuple(m.detection.at(at) for m, at in zip(self._fits.models, expected.where_px, strict=True))
+        seen = self._detector.candidates(image, sought)
+        spots = list(seen.centres_px)
+        for k in np.flatnonzero(accepted):
+            at = frame.results[k, :2]
+            if all(np.hypot(*(at - spot)) > COINCIDENT * self._sizes[k] for spot in spots):
+                spots.append(at.copy())
+        return Scene(expected, np.array(spots).reshape(-1, 2), self._size_px, seen.corners_px)
+
+    def _take(
+        self, image: GrayImage, k: int, frame: FrameArrays, scene: Scene, found: Assignment, *, own: bool
+    ) -> None:
+        """Result of marker k: its own fit where that is the assigned spot, else a fit there, else none."""
+        chosen = found.spots[k]
+        if chosen < 0:
+            frame.results[k] = failed()
+            return
+        spot, near = scene.spots_px[chosen], COINCIDENT * self._sizes[k]
+        if own and np.hypot(*(frame.results[k, :2] - spot)) < near:
+            return
+        fitted = [self._fits.register(image, k, spot, blur) for blur in blurs(frame.motion[k])]
+        best = max(fitted, key=correlation)
+        if self._fits.accepted(k, best) and np.hypot(*(best[:2] - spot)) < near:
+            frame.results[k], frame.marks[k] = best, flags.RECOVERED.value
+        else:
+            frame.results[k] = failed()
+
+
+def _first_position(states: FloatArray, x_px: float, y_px: float) -> FloatArray:
+    seen = np.flatnonzero(np.isfinite(states[:, 0]))
+    return states[seen[0], :2] if seen.size else np.array([x_px, y_px])

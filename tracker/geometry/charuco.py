@@ -11,13 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray
+from tracker.checks import Failure
 from tracker.geometry.lens import Lens
 
-LEAST_IMAGES = 5
-# Corners needed for a view to add information beyond its own pose.
-LEAST_CORNERS = 8
-# A view whose corners fit worse than this multiple of the median is blurred or bent and is left out.
-WORST_RATIO = 3.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which images calibrate a lens."""
+
+    #: [images] without which no lens is calibrated
+    #: convention: focal length, centre and distortion need several directions of the board
+    least_images: int = 5
+    #: [corners] of a view
+    #: convention: fewer add no information beyond the view's own pose, six unknowns
+    least_corners: int = 8
+    #: [1] a view whose corners fit worse than this multiple of the median is left out
+    #: convention: it is blurred or the board bent
+    worst_ratio: float = 3.0
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -45,19 +58,9 @@ class LensCalibration:
     left_out: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class FailedCalibration:
-    """Images from which no lens can be calibrated: falsy, with the reason."""
-
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
-
-
 def calibrate_lens(
     images: Iterable[tuple[str, NDArray[np.uint8]]], board: Board
-) -> LensCalibration | FailedCalibration:
+) -> LensCalibration | Failure:
     """Focal length, centre and distortion (k1, k2, p1, p2) from named views of a flat board.
 
     Notes
@@ -76,25 +79,25 @@ def calibrate_lens(
         height, width = image.shape
         size = size or (width, height)
         if (width, height) != size:
-            return FailedCalibration(
+            return Failure(
                 f"{name} has {width} x {height} px, the others {size[0]} x {size[1]}: all images must be of one size"
             )
         corners, ids, _, _ = detector.detectBoard(image)
-        if ids is None or len(ids) < LEAST_CORNERS:
+        if ids is None or len(ids) < TUNING.least_corners:
             left_out.append(name)
             continue
         names.append(name)
         objects.append(corners_mm[np.asarray(ids).ravel()].astype(np.float32))
         points.append(np.asarray(corners, dtype=np.float32).reshape(-1, 2))
-    if size is None or len(names) < LEAST_IMAGES:
-        return FailedCalibration(
-            f"{len(names)} of {len(names) + len(left_out)} images show {LEAST_CORNERS} or more corners of a board of "
-            f"{board.squares_x} x {board.squares_y} squares of {board.dictionary}; {LEAST_IMAGES} are needed. Check "
-            "the numbers of squares and the dictionary"
+    if size is None or len(names) < TUNING.least_images:
+        return Failure(
+            f"{len(names)} of {len(names) + len(left_out)} images show {TUNING.least_corners} or more "
+            f"corners of a board of {board.squares_x} x {board.squares_y} squares of {board.dictionary}; "
+            f"{TUNING.least_images} are needed. Check the numbers of squares and the dictionary"
         )
     lens, sd, view_rms_px = _fit(objects, points, size)
-    good = view_rms_px <= WORST_RATIO * float(np.median(view_rms_px))
-    if not good.all() and np.count_nonzero(good) >= LEAST_IMAGES:
+    good = view_rms_px <= TUNING.worst_ratio * float(np.median(view_rms_px))
+    if not good.all() and np.count_nonzero(good) >= TUNING.least_images:
         left_out += [n for n, g in zip(names, good, strict=True) if not g]
         names, objects, points = (
             [item for item, g in zip(items, good, strict=True) if g] for items in (names, objects, points)

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from tracker.arrays import FloatArray
+from tracker.checks import checked
 
-_ITERATIONS = 100
-# In units of the focal length: far below a millionth of a pixel.
-_CONVERGED = 1e-12
-# Half the step of the central differences of the distortion.
-_STEP_PX = 0.25
+
+@dataclass(frozen=True)
+class Tuning:
+    """Inversion of the distortion."""
+
+    #: [steps] of the inversion of the distortion, at most
+    #: convention: without convergence the result is NaN
+    iterations: int = 100
+    #: [1] last step, in units of the focal length
+    #: convention: far below a millionth of a pixel
+    converged: float = 1e-12
+    #: [px] half the step of the central differences of the distortion
+    #: convention: distortion changes over hundreds of px
+    step_px: float = 0.25
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -41,13 +53,13 @@ class Lens:
     rms_px: float = float("nan")
 
     def __post_init__(self) -> None:
-        numbers = (*self.focal_px, *self.centre_px, *self.distortion)
-        if len(self.distortion) != 5 or not all(map(math.isfinite, numbers)):
+        if len(self.distortion) != 5:
             msg = f"distortion must be five finite numbers k1, k2, p1, p2, k3, got {self.distortion}"
             raise ValueError(msg)
-        if min(self.focal_px) <= 0.0 or min(self.width_px, self.height_px) <= 0:
-            msg = "focal length and image size of a lens must be positive"
-            raise ValueError(msg)
+        for number in self.distortion + self.centre_px:
+            checked("distortion and centre of a lens", number)
+        for number in (*self.focal_px, self.width_px, self.height_px):
+            checked("focal length and image size of a lens", number, positive=True)
 
 
 def undistort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -61,15 +73,15 @@ def undistort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArra
     seen_x, seen_y = (x_px - cx) / fx, (y_px - cy) / fy
     x, y = seen_x, seen_y
     step = np.full(x.shape, np.inf)
-    for _ in range(_ITERATIONS):
+    for _ in range(TUNING.iterations):
         radial, shift_x, shift_y = _distortion(lens, x, y)
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             new_x, new_y = (seen_x - shift_x) / radial, (seen_y - shift_y) / radial
             step = np.hypot(new_x - x, new_y - y)
         x, y = new_x, new_y
-        if not np.any(step > _CONVERGED):
+        if not np.any(step > TUNING.converged):
             break
-    converged = step <= _CONVERGED
+    converged = step <= TUNING.converged
     return np.where(converged, cx + fx * x, np.nan), np.where(converged, cy + fy * y, np.nan)
 
 
@@ -87,7 +99,7 @@ def _distortion(lens: Lens, x: FloatArray, y: FloatArray) -> tuple[FloatArray, F
 def undistortion_jacobian(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
     """Derivative of `undistort` at positions of shape (k,): array of shape (k, 2, 2), rows x and y."""
     columns = []
-    for dx, dy in ((_STEP_PX, 0.0), (0.0, _STEP_PX)):
+    for dx, dy in ((TUNING.step_px, 0.0), (0.0, TUNING.step_px)):
         ahead, behind = undistort(lens, x_px + dx, y_px + dy), undistort(lens, x_px - dx, y_px - dy)
-        columns.append((np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2.0 * _STEP_PX))
+        columns.append((np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2.0 * TUNING.step_px))
     return np.stack(columns, axis=-1)

@@ -18,20 +18,44 @@ from tracker.geometry.plane import (
     plane_jacobian,
 )
 
-# Accuracy of a printed size; printers and calipers are no better.
-SIZE_RELATIVE_SD = 0.005
-# Error of a fitted size, in px, when a model separates blur and size.
-SIZE_SD_PX = 0.05
-# The same for the size measured by a detector alone.
-ROUGH_SIZE_SD_PX = 0.5
-DISAGREEMENT = 0.10
-# Sizes of nominally equal markers may differ by this share before a note is given.
-SIZES_DIFFER = 0.05
-# A view is oblique when scales differ by more than this share, and by more than this many standard deviations.
-OBLIQUE = 0.01
-OBLIQUE_SD = 5.0
-# Plausible extent of a beam in the image, in mm over the longer side: sizes given in metres fall outside.
-PLAUSIBLE_VIEW_MM = (5.0, 20_000.0)
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors of scales, and when they are reported."""
+
+    #: [1] relative sd of a printed size
+    #: convention: printers and calipers are no better
+    size_relative_sd: float = 0.005
+    #: [px] error of a fitted size where a model separates blur and size
+    size_sd_px: float = 0.05
+    #: [px] the same of a size measured by a detector alone
+    rough_size_sd_px: float = 0.5
+    #: [1] relative difference of two scales that is reported
+    #: convention: chosen; a note changes no result
+    disagreement: float = 0.1
+    #: [1] relative difference of nominally equal markers that is reported
+    #: convention: chosen; a note changes no result
+    sizes_differ: float = 0.05
+    #: [sd] and in standard deviations of a size
+    #: statistics: noise alone exceeds it in one pair of 16 000
+    sizes_differ_sd: float = 4.0
+    #: [1] a view is oblique when scales differ by more than this share
+    oblique: float = 0.01
+    #: [sd] and by this many standard deviations
+    #: statistics: noise alone never does
+    oblique_sd: float = 5.0
+    #: [mm] plausible extent of a beam in the image, at least
+    #: convention: sizes given in metres fall outside
+    least_view_mm: float = 5.0
+    #: [mm] the same, at most
+    #: convention: sizes given in micrometres fall outside
+    largest_view_mm: float = 20_000.0
+    #: [mm] accuracy of two markers' places along the beam
+    #: convention: two leave no residual: that of a ruler and a hand is assumed
+    placing_mm: float = 0.5
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -123,7 +147,7 @@ def resolve_scale(
         f"{other.mm_per_px:.5g} mm/px: check sizes, positions and units (all are in mm)."
         + _other_unit(chosen, other.mm_per_px / chosen.mm_per_px)
         for other in candidates[1:]
-        if abs(other.mm_per_px / chosen.mm_per_px - 1.0) > DISAGREEMENT
+        if abs(other.mm_per_px / chosen.mm_per_px - 1.0) > TUNING.disagreement
     )
     notes = (*oblique.notes, *sized.notes, *disagreements, *_implausible(chosen, rest_px))
     return ScaleResult(chosen, notes, oblique.plane)
@@ -166,12 +190,12 @@ def _from_size(
         return ScaleResult(None)
     areas = [abs(np.linalg.det(j)) / abs(np.linalg.det(m.warp)) for m, j in sized]
     sizes = np.array([m.size_px for m, _ in sized]) * np.sqrt(areas)
-    size_sd = max(SIZE_SD_PX if m.is_fitted else ROUGH_SIZE_SD_PX for m, _ in sized)
+    size_sd = max(TUNING.size_sd_px if m.is_fitted else TUNING.rough_size_sd_px for m, _ in sized)
     size = float(np.median(sizes))
     scatter = float(np.std(sizes, ddof=1)) / np.sqrt(sizes.size) if sizes.size > 1 else 0.0
-    relative = np.sqrt(SIZE_RELATIVE_SD**2 + (size_sd / size) ** 2 + (scatter / size) ** 2)
+    relative = np.sqrt(TUNING.size_relative_sd**2 + (size_sd / size) ** 2 + (scatter / size) ** 2)
     notes: tuple[str, ...] = ()
-    if float(np.ptp(sizes)) > max(SIZES_DIFFER * size, 4.0 * size_sd):
+    if float(np.ptp(sizes)) > max(TUNING.sizes_differ * size, TUNING.sizes_differ_sd * size_sd):
         small, large = sized[int(np.argmin(sizes))][0], sized[int(np.argmax(sizes))][0]
         note = (
             f"Markers with the same size_mm appear {sizes.min():.4g} px ({small.name}) to {sizes.max():.4g} px "
@@ -207,8 +231,8 @@ def _from_shapes(
     spread = float(scales.max() / scales.min()) - 1.0
     size = float(np.median([m.size_px for _, m in shaped]))
     dof = max(residual.size - 5, 1)
-    sd = max(SIZE_SD_PX / size, float(np.sqrt(np.sum(residual**2) / dof)))
-    if spread < max(OBLIQUE, OBLIQUE_SD * sd):
+    sd = max(TUNING.size_sd_px / size, float(np.sqrt(np.sum(residual**2) / dof)))
+    if spread < max(TUNING.oblique, TUNING.oblique_sd * sd):
         return ScaleResult(None)
     middle = plane_jacobian(plane, *centres.mean(axis=0)[:, None])[0]
     relative = plain.sd_mm_per_px / plain.mm_per_px
@@ -238,8 +262,7 @@ def _from_distances(rest_px: FloatArray, positions_mm: FloatArray) -> Scale | No
         return None
     residual = mm - np.polyval(line, along_px)
     spread = float(np.sum((along_px - along_px.mean()) ** 2))
-    # Two markers leave no residual: a placement accuracy of half a millimetre is then assumed.
-    placing = float(np.sqrt(np.sum(residual**2) / (mm.size - 2))) if mm.size > 2 else 0.5
+    placing = float(np.sqrt(np.sum(residual**2) / (mm.size - 2))) if mm.size > 2 else TUNING.placing_mm
     return Scale(float(line[0]), placing / np.sqrt(spread), "from the positions along the beam")
 
 
@@ -249,7 +272,7 @@ def _implausible(scale: Scale, rest_px: FloatArray) -> tuple[str, ...]:
     if len(seen) < 2:
         return ()
     extent = float(np.linalg.norm(np.ptp(seen, axis=0))) * scale.mm_per_px
-    low, high = PLAUSIBLE_VIEW_MM
+    low, high = TUNING.least_view_mm, TUNING.largest_view_mm
     if low <= extent <= high:
         return ()
     note = (
@@ -263,6 +286,6 @@ def _implausible(scale: Scale, rest_px: FloatArray) -> tuple[str, ...]:
 def _other_unit(scale: Scale, factor: float) -> str:
     """The unit that a scale was given in, where it is wrong by this factor, and what to write; empty for any other."""
     for thousand, unit in ((1e3, "metres"), (1e-3, "micrometres")):
-        if abs(factor / thousand - 1.0) < 2.0 * DISAGREEMENT:
+        if abs(factor / thousand - 1.0) < 2.0 * TUNING.disagreement:
             return f" If lengths {scale.source} are in {unit}, it is {thousand * scale.mm_per_px:.5g} mm/px."
     return ""

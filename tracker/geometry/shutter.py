@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from tracker.arrays import FloatArray
+from tracker.checks import checked
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Limits of the corrections for the shutter."""
+
+    #: [1] steps that differ by more than this share of their mean are uneven
+    #: physics: the error of a value moved by half a step then is a twothousandth of its change from frame to frame
+    uneven: float = 1e-3
+    #: [1] product of frequency and exposure beyond which an amplitude is not corrected
+    #: convention: the factor is 0.50 there and falls to zero at 1
+    largest_product: float = 0.6
+
+
+TUNING = Tuning()
 
 # Samples of the interpolating polynomial of degree 4, in steps from the shifted one.
 _NODES = np.arange(-2.0, 3.0)
-# Steps that differ by more than this share of their mean are uneven.
-_UNEVEN = 1e-3
 
 
 def row_delay_s(y_px: FloatArray, height_px: int, readout_s: float) -> FloatArray:
@@ -37,7 +52,7 @@ def to_common_time(
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     steps = np.diff(time_s)
     step = float(np.mean(steps))
-    if float(np.max(np.abs(steps - step))) > _UNEVEN * step:
+    if float(np.max(np.abs(steps - step))) > TUNING.uneven * step:
         velocity = np.gradient(values, time_s, axis=0)
         return values - delay_s * velocity, sd * np.sqrt(1.0 + 0.5 * (delay_s / step) ** 2)
     weights = _lagrange(-delay_s / step)
@@ -56,10 +71,6 @@ def _lagrange(at: FloatArray) -> FloatArray:
     return weights
 
 
-# Beyond this product of frequency and exposure the factor falls rapidly to zero, and correction is unreliable.
-LARGEST_PRODUCT = 0.6
-
-
 def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
     """Observed over true amplitude of a sinusoid that each frame averages over its exposure.
 
@@ -76,9 +87,7 @@ def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
     this mean, whether or not the template includes the blur, because the blur is symmetric about it. Biased where the
     motion within one exposure deviates strongly from a straight line and the blur is wider than the marker's details.
     """
-    for name, value in (("frequency_hz", frequency_hz), ("exposure_s", exposure_s)):
-        if not (math.isfinite(value) and value >= 0.0):
-            msg = f"{name} must be finite and not negative, got {value}"
-            raise ValueError(msg)
+    checked("frequency_hz", frequency_hz, at_least=0.0)
+    checked("exposure_s", exposure_s, at_least=0.0)
     phase = math.pi * frequency_hz * exposure_s
     return math.sin(phase) / phase if phase > 0.0 else 1.0

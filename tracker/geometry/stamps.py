@@ -10,21 +10,43 @@ import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, IntArray
 
-# Time stamps in a file that vary by less than this share of a step carry no more than a playback rate.
-JITTER = 0.02
-# Steps are whole multiples of a frame interval if they deviate by less than a tick plus this share of it.
-WHOLE = 0.1
-# With fewer ticks in a frame interval every step is near a whole multiple of it.
-LEAST_TICKS = 3
-# With more missing frames than this per frame in the file, the stamps are not those of the recording.
-ABSENT_PER_FRAME = 100
-# Steps that differ by less from one to the next belong to the same rate.
-SAME_RATE = 0.15
-# A rate is one that at least this number of steps in succession have.
-LEAST_STEPS = 8
-# Rates that differ by less than this factor are used together: each frame has its time.
-MIXED = 1.5
-LISTED = 6
+
+@dataclass(frozen=True)
+class Tuning:
+    """What time stamps can tell."""
+
+    #: [1] time stamps that vary by less than this share of a step carry no more than a playback rate
+    #: convention: phones and converters shake their stamps by a fraction of a percent at whatever rate they play
+    jitter: float = 0.02
+    #: [1] steps are whole multiples of a frame interval if they deviate by less than a tick plus this share of it
+    whole: float = 0.1
+    #: [ticks] in a frame interval
+    #: convention: with fewer every step is near a whole multiple of it
+    least_ticks: int = 3
+    #: [frames] missing for each in the file, beyond which the stamps are not those of the recording
+    absent_per_frame: int = 100
+    #: [1] steps that differ by less from one to the next belong to the same rate
+    #: convention: below the ratio of usual rates
+    same_rate: float = 0.15
+    #: [frames] in succession that make a rate
+    least_steps: int = 8
+    #: [1] rates that differ by less than this factor are used together
+    #: convention: each frame has its time
+    mixed: float = 1.5
+    #: [1] parts that a message lists
+    #: convention: a line of text
+    listed: int = 6
+    #: [1] share of a step by which single steps of evenly spaced frames may differ
+    #: convention: a missing frame makes a step of twice the mean
+    even_step: float = 0.4
+    #: [1] share of a step by which evenly spaced frames may be off their places
+    #: physics: half a step is the next frame
+    even_place: float = 0.5
+    #: [1] the same in long records, for each frame
+    even_drift: float = 1e-3
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -43,7 +65,7 @@ class RateSegment:
 
 def is_regular(steps: IntArray) -> bool:
     """Whether steps vary by no more than rounding to ticks, or the jitter of a constant rate."""
-    return steps.size == 0 or int(np.ptp(steps)) <= max(1.0, JITTER * float(np.median(steps)))
+    return steps.size == 0 or int(np.ptp(steps)) <= max(1.0, TUNING.jitter * float(np.median(steps)))
 
 
 def problem(stamps: list[int | None], time_base: Fraction | None) -> str | None:
@@ -74,7 +96,7 @@ def whole_steps(steps: IntArray, *, exact: bool = False) -> tuple[IntArray, floa
     The frame interval is the smallest step or, where no two successive frames are in the file, a half or a third of
     it. It is refined over longer and longer steps, because the stamps hold it rounded to whole ticks: 33 ms for 33.3.
     """
-    smallest = float(np.median(steps[steps <= steps.min() * (1.0 + SAME_RATE) + 1]))
+    smallest = float(np.median(steps[steps <= steps.min() * (1.0 + TUNING.same_rate) + 1]))
     for parts in (1, 2, 3):
         base = smallest / parts
         for longest in (1, 4, 16, 64, np.iinfo(np.int64).max):
@@ -84,17 +106,28 @@ def whole_steps(steps: IntArray, *, exact: bool = False) -> tuple[IntArray, floa
                 base = float(steps[chosen].sum() / counts[chosen].sum())
         counts = np.rint(steps / base).astype(np.int64)
         off = np.abs(steps - counts * base)
-        if base >= parts * LEAST_TICKS and counts.min() >= 1 and np.all(off <= 1.0 + WHOLE / parts * base):
+        if (
+            base >= parts * TUNING.least_ticks
+            and counts.min() >= 1
+            and np.all(off <= 1.0 + TUNING.whole / parts * base)
+        ):
             drift = np.cumsum(steps) - np.cumsum(counts) * base
-            return (counts, base) if not exact or np.ptp(drift) <= 2.0 * max(1.0, JITTER * base) else None
+            return (
+                (counts, base) if not exact or np.ptp(drift) <= 2.0 * max(1.0, TUNING.jitter * base) else None
+            )
     return None
 
 
-def too_long(steps: IntArray) -> int | None:
-    """Index of a step that is longer than a recording with so few frames can be, or None."""
-    longest = int(np.argmax(steps))
-    limit = ABSENT_PER_FRAME * (steps.size + 1) * float(np.median(steps))
-    return longest if float(steps[longest]) > limit else None
+def jump(steps: IntArray, time_base: Fraction | None) -> str | None:
+    """Why stamps cannot be used of which a step is longer than a recording with so few frames can be, or None."""
+    at = int(np.argmax(steps))
+    if not float(steps[at]) > TUNING.absent_per_frame * (steps.size + 1) * float(np.median(steps)):
+        return None
+    length = f"{int(steps[at])} ticks" if time_base is None else f"{seconds(int(steps[at]), time_base)} s"
+    return (
+        f"the time stamps jump by {length} between frames {at} and {at + 1}, longer than such a recording can be; "
+        "cut the file there, or export its frames without their stamps (FFV1 in AVI)"
+    )
 
 
 def evenly_spaced(ticks: IntArray) -> bool:
@@ -103,7 +136,8 @@ def evenly_spaced(ticks: IntArray) -> bool:
     mean = float(ticks[-1] - ticks[0]) / steps.size
     off = np.abs(ticks - ticks[0] - mean * np.arange(ticks.size))
     return bool(
-        np.all(np.abs(steps - mean) < 0.4 * mean) and np.all(off < mean * max(0.5, 1e-3 * steps.size))
+        np.all(np.abs(steps - mean) < TUNING.even_step * mean)
+        and np.all(off < mean * max(TUNING.even_place, TUNING.even_drift * steps.size))
     )
 
 
@@ -112,14 +146,14 @@ def rate_segments(steps: IntArray) -> tuple[RateSegment, ...]:
 
     Frames between them that belong to no rate, such as at single missing frames, are in no segment.
     """
-    if steps.size < 2 * LEAST_STEPS or int(steps.min()) <= 0:
+    if steps.size < 2 * TUNING.least_steps or int(steps.min()) <= 0:
         return ()
-    change = np.abs(np.diff(steps)) > np.maximum(1.0, SAME_RATE * np.minimum(steps[1:], steps[:-1]))
+    change = np.abs(np.diff(steps)) > np.maximum(1.0, TUNING.same_rate * np.minimum(steps[1:], steps[:-1]))
     edges = np.concatenate([[0], np.flatnonzero(change) + 1, [steps.size]])
     runs = [
         RateSegment(int(a), int(b), float(steps[a:b].mean()))
         for a, b in itertools.pairwise(edges)
-        if b - a >= LEAST_STEPS
+        if b - a >= TUNING.least_steps
     ]
     joined: list[RateSegment] = []
     for run in runs:
@@ -134,7 +168,7 @@ def rate_segments(steps: IntArray) -> tuple[RateSegment, ...]:
 def same_rate(one: RateSegment, other: RateSegment) -> bool:
     """Whether two segments have the same rate, ticks and jitter allowed for."""
     smaller, larger = sorted((one.step, other.step))
-    return larger - smaller <= max(0.5, SAME_RATE * smaller)
+    return larger - smaller <= max(0.5, TUNING.same_rate * smaller)
 
 
 def most_frames(segments: tuple[RateSegment, ...]) -> tuple[RateSegment, ...]:
@@ -146,7 +180,7 @@ def most_frames(segments: tuple[RateSegment, ...]) -> tuple[RateSegment, ...]:
 def frames_at_rate(n: int, segments: tuple[RateSegment, ...], chosen: RateSegment) -> BoolArray:
     """Of n frames those that do not belong to a segment of a rate that differs much from the chosen one; shape (n,)."""
     used = np.ones(n, dtype=bool)
-    alike = [max(s.step, chosen.step) < MIXED * min(s.step, chosen.step) for s in segments]
+    alike = [max(s.step, chosen.step) < TUNING.mixed * min(s.step, chosen.step) for s in segments]
     # Segments share the frame between them.
     for wanted in (False, True):
         for segment, is_alike in zip(segments, alike, strict=True):
@@ -162,7 +196,7 @@ def without_rounding(ticks: IntArray, segments: tuple[RateSegment, ...]) -> Floa
         frames = np.arange(segment.first, segment.last + 1)
         slope, start = np.polyfit(frames - segment.first, ticks[frames] - ticks[segment.first], 1)
         line = ticks[segment.first] + start + slope * (frames - segment.first)
-        if np.max(np.abs(line - ticks[frames])) <= max(1.0, JITTER * slope):
+        if np.max(np.abs(line - ticks[frames])) <= max(1.0, TUNING.jitter * slope):
             exact[frames] = line
     return exact if np.all(np.diff(exact) > 0.0) else ticks.astype(np.float64)
 
@@ -171,9 +205,9 @@ def listed(segments: tuple[RateSegment, ...], time_base: Fraction) -> str:
     """Segments as text: frames and rate of each, at most six."""
     parts = [
         f"frames {s.first} to {s.last} at {1.0 / (s.step * float(time_base)):.4g} fps"
-        for s in segments[:LISTED]
+        for s in segments[: TUNING.listed]
     ]
-    more = len(segments) - LISTED
+    more = len(segments) - TUNING.listed
     return ", ".join(parts) + (f" and {more} more parts" if more > 0 else "")
 
 
@@ -194,12 +228,3 @@ def whole_frames(
     if time_base is None or container_rate is None or time_base * container_rate != 1:
         return None
     return steps if steps.min() == 1 and steps.max() > 1 else None
-
-
-def jump_text(jump: int, steps: IntArray, time_base: Fraction | None) -> str:
-    """Why stamps with a step that is too long cannot be used."""
-    length = f"{int(steps[jump])} ticks" if time_base is None else f"{seconds(int(steps[jump]), time_base)} s"
-    return (
-        f"the time stamps jump by {length} between frames {jump} and {jump + 1}, longer than such a recording can be; "
-        "cut the file there, or export its frames without their stamps (FFV1 in AVI)"
-    )

@@ -8,53 +8,88 @@ from typing import Literal
 import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.checks import Failure
 from tracker.line import kernel
-from tracker.line.background import learned_background
-from tracker.line.curve import LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, Centreline, CurveAt, resampled, smoothed
-from tracker.line.follower import Fit, LineFollower
+from tracker.line.curve import TUNING as CURVE
+from tracker.line.curve import Centreline, CurveAt, resampled, smoothed
+from tracker.line.follower import Fit, FoundPath, LineFollower, centred, find_path, straightened
 from tracker.line.light import learned_light
-from tracker.line.model import INSET_PX, LineModel
-from tracker.line.path import FoundPath, centred, find_path, straightened
+from tracker.line.model import TUNING as ENDS
+from tracker.line.model import LineModel, learned_background
 from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
-
-Feature = Literal["strip", "edge", "auto"]
-SPACING_PX = 5.0
-LEAST_STATIONS, MOST_STATIONS = 6, 200
-# Search across the given line: at least this far, and up to this share of its length where the line is curved.
-LEAST_REACH_PX, REACH_SHARE = 12.0, 0.2
-# Accuracy of given ends.
-ENDS_PX = 6.0
-# Surface on either side of a line that is part of its window. That of an edge tells the levels of both surfaces, which
-# the displacement depends on: with 10 px its sd is 1.06 of that for known levels, with 6 px 1.11.
-FLANK_PX, EDGE_FLANK_PX = 4.0, 10.0
-# Beyond the window the profile is learned for blur and for the first steps of a fit.
-BEYOND_PX = 3.0
-# The profile is learned until it changes by less than this share of a station's standard deviation.
-MOST_ROUNDS, SETTLED = 24, 0.02
-# Nodes of the profile along the line: at least this many stations each.
-STATIONS_PER_NODE, MOST_NODES = 12, 6
-LARGEST_FIRST_CHI2 = 10.0
-LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
-# The ends are searched for within this distance of the given ones, at least this far beyond them, where the contrast is
-# below this share. The slope there is that over this number of points of the polyline.
-END_PX, END_LEAST_PX, END_CONTRAST, END_SLOPE = 14.0, 4.0, 0.25, 12
-POLYLINE = 400
-# Motion that may be left out when a profile is learned, rms, beside as much as the noise of the stations.
-MOTION_LEFT_PX = 0.005
-# Share of the first frames in which the line must be followed.
-LEAST_FOLLOWED = 0.5
-# Profiles are learned from frames with less blur than this, where there are enough.
-SHARP_PX = 0.3
 
 
 @dataclass(frozen=True)
-class NoLine:
-    """A line that could not be calibrated: falsy, with the reason."""
+class Tuning:
+    """Calibration of a line."""
 
-    reason: str
+    #: [px] of line for each station, unless their number is given
+    spacing_px: float = 5.0
+    #: [stations] at least
+    #: convention: as few as the settings accept
+    least_stations: int = 6
+    #: [stations] at most, unless their number is given
+    #: convention: limits time
+    most_stations: int = 200
+    #: [px] search across the given line, at least
+    least_reach_px: float = 12.0
+    #: [1] search across it, as a share of its length where the line is curved
+    reach_share: float = 0.2
+    #: [px] accuracy of given ends
+    #: convention: a hand places them to a few px
+    ends_px: float = 6.0
+    #: [px] of surface on either side of a strip in its window
+    flank_px: float = 4.0
+    #: [px] of surface on either side of an edge
+    #: measurement: it tells the levels of both surfaces, which the displacement depends on: with 10 px its sd is 1.06
+    #: of that for known levels, with 6 px 1.11
+    edge_flank_px: float = 10.0
+    #: [px] beyond the window up to which the profile is learned
+    #: convention: for blur and for the first steps of a fit
+    beyond_px: float = 3.0
+    #: [rounds] in which the profile is learned
+    #: convention: they end when settled
+    most_rounds: int = 24
+    #: [sd] change of the profile, of the standard deviation of a station, below which it is learned
+    #: statistics: its square is far below the variance of a station
+    settled: float = 0.02
+    #: [stations] for each node of the profile along the line, at least
+    stations_per_node: int = 12
+    #: [nodes] of the profile
+    most_nodes: int = 6
+    #: [1] limit of the usual chi-square before the background is known
+    #: convention: what a textured background adds must not reject the stations
+    largest_first_chi2: float = 10.0
+    #: [sd] contrast of the path above the noise of a pixel
+    #: statistics: noise alone exceeds it in one place of 740
+    least_contrast_sd: float = 3.0
+    #: [1] share of the path that must have that contrast
+    least_seen: float = 0.75
+    #: [px] distance of the given ends within which the ends are searched for
+    #: convention: twice the accuracy of given ends and more
+    end_px: float = 14.0
+    #: [px] of image beyond them that are needed
+    end_least_px: float = 4.0
+    #: [1] contrast beyond an end, at most
+    #: convention: half of that of the end itself
+    end_contrast: float = 0.25
+    #: [1] points of the polyline over which the slope at an end is taken
+    end_slope: int = 12
+    #: [1] points of the polyline
+    #: convention: finer than a px up to 400 px of length
+    polyline: int = 400
+    #: [px] motion that may be left out when a profile is learned, rms, beside as much as the noise of the stations
+    #: convention: below the usual sd of a station
+    motion_left_px: float = 0.005
+    #: [1] share of the first frames in which the line must be followed
+    least_followed: float = 0.5
+    #: [px] profiles are learned from frames with less blur, where there are enough
+    sharp_px: float = 0.3
 
-    def __bool__(self) -> bool:
-        return False
+
+TUNING = Tuning()
+
+Feature = Literal["strip", "edge", "auto"]
 
 
 def calibrate_line(
@@ -65,7 +100,7 @@ def calibrate_line(
     stations: int | None = None,
     feature: Feature = "auto",
     exposure_share: float = 0.0,
-) -> LineModel | NoLine:
+) -> LineModel | Failure:
     """Centreline and profile of a line.
 
     Parameters
@@ -81,22 +116,26 @@ def calibrate_line(
     """
     curve, path = _first_path(images[0], ends_px, feature)
     noise = float(np.sqrt(camera[0] + camera[1] * np.mean(images[0])))
-    seen = float(np.mean(path.contrast > LEAST_CONTRAST_SD * noise))
-    if seen < LEAST_SEEN:
+    seen = float(np.mean(path.contrast > TUNING.least_contrast_sd * noise))
+    if seen < TUNING.least_seen:
         words = "strip or edge" if feature == "auto" else feature
-        return NoLine(
+        return Failure(
             f"no {words} was found along line_px in the first frame: only {100.0 * seen:.0f} % of it stands out from "
             f"both sides, with a noise of {noise:.1f} gray levels; give the ends of a line that does, in that frame"
         )
     # Beyond the end of a strip the path wanders.
     weights = np.clip(path.contrast / np.median(path.contrast), 0.01, 1.0) ** 2
     rough = curve.points + path.offsets_px[:, None] * curve.normals
-    rough = centred(images[0], smoothed(rough, weights, LEAST_WIDE_SPLINES), path, FLANK_PX)
-    points, length_px = resampled(_to_the_ends(smoothed(rough, weights, MOST_WIDE_SPLINES)), POLYLINE)
+    rough = centred(images[0], smoothed(rough, weights, CURVE.least_wide_splines), path, TUNING.flank_px)
+    points, length_px = resampled(
+        _to_the_ends(smoothed(rough, weights, CURVE.most_wide_splines)), TUNING.polyline
+    )
     points, length_px, tip_seen = _to_the_end(images[0], points, length_px, path)
     back, length_px, clamp_seen = _to_the_end(images[0], points[::-1], length_px, path)
     points, length_px = _without_ends(back[::-1], length_px)
-    count = stations or int(np.clip(round(length_px / SPACING_PX), LEAST_STATIONS, MOST_STATIONS))
+    count = stations or int(
+        np.clip(round(length_px / TUNING.spacing_px), TUNING.least_stations, TUNING.most_stations)
+    )
     line = Centreline(length_px, count)
     start = line.from_points(resampled(points, 2 * count + 1)[0])
     model = replace(
@@ -104,7 +143,7 @@ def calibrate_line(
         exposure_share=exposure_share,
         ends_seen=(clamp_seen, tip_seen),
     )
-    return _refined(images, model) or NoLine(
+    return _refined(images, model) or Failure(
         f"the {path.feature} along line_px was found in the first frame, but could not be followed: its profile "
         "changes along the line or from frame to frame"
     )
@@ -118,38 +157,42 @@ def _to_the_ends(points_px: FloatArray) -> FloatArray:
 
 
 def _without_ends(points_px: FloatArray, length_px: float) -> tuple[FloatArray, float]:
-    """The line without `INSET_PX` at both ends, where lens and clamp change the profile."""
+    """The line without two px at both ends, where lens and clamp change the profile."""
     arc = np.linspace(0.0, length_px, len(points_px))
-    at = np.linspace(INSET_PX, length_px - INSET_PX, POLYLINE)
-    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * INSET_PX
+    at = np.linspace(ENDS.inset_px, length_px - ENDS.inset_px, TUNING.polyline)
+    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * ENDS.inset_px
 
 
 def _to_the_end(
     image: GrayImage, points_px: FloatArray, length_px: float, path: FoundPath
 ) -> tuple[FloatArray, float, bool]:
-    """The line up to where a strip is seen to end within `END_PX` of the last point: points, length, whether it is.
+    """The line up to where a strip is seen to end near the last point: points, length, and whether it is.
 
     At a free end, or where it enters a clamp that hides it or looks like it.
     """
-    outward = points_px[-1] - points_px[-1 - END_SLOPE]
+    outward = points_px[-1] - points_px[-1 - TUNING.end_slope]
     outward /= np.linalg.norm(outward)
-    beyond = np.arange(-END_PX, END_PX + 1.0)
+    beyond = np.arange(-TUNING.end_px, TUNING.end_px + 1.0)
     at = points_px[-1] + beyond[:, None] * outward
     inside = np.all((at >= 0) & (at <= np.array(image.shape[::-1]) - 1), axis=1)
     beyond, at = beyond[inside], at[inside]
-    if path.feature == "edge" or beyond[0] > -END_PX or beyond[-1] < END_LEAST_PX:
+    if path.feature == "edge" or beyond[0] > -TUNING.end_px or beyond[-1] < TUNING.end_least_px:
         return points_px, length_px, False
     half = 0.5 * path.width_px
     curve = CurveAt(at, np.tile(outward, (len(at), 1)), np.zeros(len(at)), np.ones(len(at)))
-    levels = straightened(image, curve, int(np.ceil(half + FLANK_PX)), 1.0)
+    levels = straightened(image, curve, int(np.ceil(half + TUNING.flank_px)), 1.0)
     across = np.abs(np.arange(levels.shape[1]) - levels.shape[1] // 2)
     contrast = levels[:, across <= max(half - 0.5, 0.5)].mean(axis=1) - levels[:, across > half + 1.0].mean(
         axis=1
     )
-    contrast = contrast / np.median(contrast[: int(END_PX) // 2])
+    contrast = contrast / np.median(contrast[: int(TUNING.end_px) // 2])
     ended = contrast < 0.5
     # The strip ends once, and well before the last place.
-    if not np.any(ended) or not np.all(ended[np.argmax(ended) :]) or np.mean(contrast[-4:]) > END_CONTRAST:
+    if (
+        not np.any(ended)
+        or not np.all(ended[np.argmax(ended) :])
+        or np.mean(contrast[-4:]) > TUNING.end_contrast
+    ):
         return points_px, length_px, False
     k = int(np.argmax(ended))
     if k == 0:
@@ -157,7 +200,7 @@ def _to_the_end(
     end = beyond[k - 1] + (contrast[k - 1] - 0.5) / (contrast[k - 1] - contrast[k])
     arc = np.linspace(0.0, length_px, len(points_px))
     kept = points_px[arc < length_px + min(end, 0.0)]
-    points, length = resampled(np.concatenate([kept, (points_px[-1] + end * outward)[None]]), POLYLINE)
+    points, length = resampled(np.concatenate([kept, (points_px[-1] + end * outward)[None]]), TUNING.polyline)
     return points, length, True
 
 
@@ -168,7 +211,7 @@ def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
     the pixels, the profile converges slowly.
     """
     across = np.arange(-model.half_across_px, model.half_across_px, 0.1)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(TUNING.most_rounds):
         learned = _learned(images, model, 1, must_begin=False)
         if learned is None:
             return None
@@ -177,9 +220,9 @@ def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
             np.sqrt(np.mean(np.gradient(after, 0.1) ** 2)) + 1e-9
         )
         model, sd_px = learned
-        if change_px < SETTLED * sd_px:
+        if change_px < TUNING.settled * sd_px:
             break
-    nodes = int(np.clip(model.line.stations // STATIONS_PER_NODE, 1, MOST_NODES))
+    nodes = int(np.clip(model.line.stations // TUNING.stations_per_node, 1, TUNING.most_nodes))
     learned = _learned(images, model, nodes, must_begin=True)
     return None if learned is None else _with_light(images, learned[0])
 
@@ -212,17 +255,17 @@ def _first_path(image: GrayImage, ends_px: FloatArray, feature: Feature) -> tupl
         np.zeros(count),
         np.ones(count),
     )
-    reach = int(max(LEAST_REACH_PX, REACH_SHARE * length)) + 40
+    reach = int(max(TUNING.least_reach_px, TUNING.reach_share * length)) + 40
     across = straightened(image, curve, reach, 0.5 * spacing)
-    return curve, find_path(across, length / count, feature, ENDS_PX)
+    return curve, find_path(across, length / count, feature, TUNING.ends_px)
 
 
 def _first_model(
     image: GrayImage, line: Centreline, start: FloatArray, path: FoundPath, camera: FloatArray
 ) -> LineModel:
     """The model whose profile consists of the pixels around the first path."""
-    half = EDGE_FLANK_PX if path.feature == "edge" else 0.5 * path.width_px + FLANK_PX + 2.0
-    sums = ProfileSums(half + BEYOND_PX, 1)
+    half = TUNING.edge_flank_px if path.feature == "edge" else 0.5 * path.width_px + TUNING.flank_px + 2.0
+    sums = ProfileSums(half + TUNING.beyond_px, 1)
     # Without pixels, of the right shape.
     model = LineModel(line, start, sums.solve(), path.feature, half, camera, np.ones(line.stations))
     states = np.tile([0.0, 1.0, 0.0], (line.stations, 1))
@@ -233,7 +276,7 @@ def _first_model(
     kernel.register_line(
         image, view, model.profiles(), camera, model.background, states, model.half_across_px, results
     )
-    chi2 = np.clip(np.nanmedian(results[:, kernel.CHI2]), 1.0, LARGEST_FIRST_CHI2)
+    chi2 = np.clip(np.nanmedian(results[:, kernel.CHI2]), 1.0, TUNING.largest_first_chi2)
     return replace(model, typical_chi2=np.full(line.stations, chi2))
 
 
@@ -255,14 +298,14 @@ def _learned(
             frames.append(index)
         elif not fits:
             first_seen = False
-    if len(fits) < LEAST_FOLLOWED * len(images) or (must_begin and not first_seen):
+    if len(fits) < TUNING.least_followed * len(images) or (must_begin and not first_seen):
         return None
     results = np.stack([np.where(fit.accepted[:, None], fit.results, np.nan) for fit in fits])
     states = _normalised(results[:, :, : kernel.STATE])
     states[:, :, kernel.SHIFT] = _smooth_shifts(line, fits, states[:, :, kernel.SHIFT])
     largest_step_px = _largest_step_px(fits, states[:, :, kernel.SHIFT], np.diff(frames) == 1)
     states[_too_blurred(np.stack([fit.stations.blur for fit in fits]))] = np.nan
-    sums = ProfileSums(model.half_across_px + BEYOND_PX, nodes)
+    sums = ProfileSums(model.half_across_px + TUNING.beyond_px, nodes)
     views = [_wider(fit.stations) for fit in fits]
     learned = _with_profile(model, sums, used, views, list(states))
     moved_px = learned.profile.first_px - sums.first_px
@@ -310,7 +353,7 @@ def _with_profile(
     reach = model.half_across_px + 1.0
     profile = profile.shifted(middle_px(profile, reach, is_edge=is_edge))
     width = 0.0 if is_edge else width_px(profile, reach)
-    half = EDGE_FLANK_PX if is_edge else 0.5 * width + FLANK_PX
+    half = TUNING.edge_flank_px if is_edge else 0.5 * width + TUNING.flank_px
     return replace(model, profile=profile, half_across_px=half, width_px=width)
 
 
@@ -331,7 +374,7 @@ def _found_points(fits: list[Fit], shifts_px: FloatArray) -> tuple[FloatArray, F
 
 def _wider(view: kernel.Stations) -> kernel.Stations:
     """The windows with all pixels of which the profile is learned."""
-    return view._replace(half_across=view.half_across + BEYOND_PX)
+    return view._replace(half_across=view.half_across + TUNING.beyond_px)
 
 
 def _smooth_shifts(line: Centreline, fits: list[Fit], shifts_px: FloatArray) -> FloatArray:
@@ -351,7 +394,7 @@ def _smooth_shifts(line: Centreline, fits: list[Fit], shifts_px: FloatArray) -> 
         off = np.sum((found - smooth[-1]) * normals, axis=2)[:, seen]
         moving = off - np.nanmedian(off, axis=0)
         left.append(float(np.nanmean(moving**2)) / (1.0 - count / line.stations))
-    may_miss = min(left) + MOTION_LEFT_PX**2
+    may_miss = min(left) + TUNING.motion_left_px**2
     smoothest = smooth[int(np.argmax(np.array(left) <= min(left) + may_miss))]
     off = np.sum((_few_shapes(smoothest, may_miss) - points) * normals, axis=2)
     return np.where(np.isfinite(shifts_px), off, np.nan)
@@ -382,4 +425,4 @@ def _normalised(states: FloatArray) -> FloatArray:
 
 def _too_blurred(blur_px: FloatArray) -> BoolArray:
     """Frames in which a station is blurred, but for the sharpest quarter of each; shape (n, m)."""
-    return np.asarray(blur_px > np.maximum(np.quantile(blur_px, 0.25, axis=0), SHARP_PX))
+    return np.asarray(blur_px > np.maximum(np.quantile(blur_px, 0.25, axis=0), TUNING.sharp_px))

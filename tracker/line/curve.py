@@ -5,21 +5,47 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
+import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line.kernel import Background
 from tracker.line.light import Light
-from tracker.line.line_kernels import LineArrays
+from tracker.line.stations import LineArrays
 
-# Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
-LEAST_SPLINES, MOST_SPLINES, STATIONS_PER_SPLINE = 5, 16, 2.5
-# Wider ones, with which a profile is learned: over several px of the line, errors that depend on the position
-# within the pixel average out. Where the line moves in shapes that they do not follow, there are more and more.
-LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, STATIONS_PER_WIDE_SPLINE = 7, 10, 7.0
-MORE_SPLINES, STATIONS_PER_NARROWEST = 1.4, 1.5
-# Weight of the bending of the smooth line where stations are missing, relative to that of a typical station.
-STIFFNESS = 1e-4
+
+@dataclass(frozen=True)
+class Tuning:
+    """Splines of the centreline."""
+
+    #: [splines] of the centreline, at least
+    #: convention: one more than a single cubic has
+    least_splines: int = 5
+    #: [splines] of the centreline, at most
+    #: convention: enough for the fifth mode of a cantilever, few enough to average the noise
+    most_splines: int = 16
+    #: [stations] for each spline of the centreline
+    stations_per_spline: float = 2.5
+    #: [splines] with which a profile is learned, at least
+    #: convention: over several px of the line, errors that depend on the position within the pixel average out
+    least_wide_splines: int = 7
+    #: [splines] the same, at first
+    #: convention: as above; where the line moves in shapes that they do not follow, there are more
+    most_wide_splines: int = 10
+    #: [stations] for each of them
+    #: convention: as above
+    stations_per_wide_spline: float = 7.0
+    #: [1] factor to the next larger number of them
+    #: convention: with too few for modes 3 to 5 profiles were too wide, and the fifth mode was lost; the number is
+    #: chosen
+    more_splines: float = 1.4
+    #: [stations] for each of the narrowest ones
+    stations_per_narrowest: float = 1.5
+    #: [1] weight of the bending of the smooth line where stations are missing, relative to that of a typical station
+    #: convention: far below that of any station
+    stiffness: float = 1e-4
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -53,12 +79,12 @@ class Centreline:
         self.spacing_px = length_px / stations
         self._fine_px = np.linspace(0.0, length_px, 2 * stations + 1)
         self.arc_px = np.ascontiguousarray(self._fine_px[1::2])
-        count = int(np.clip(stations / STATIONS_PER_SPLINE, LEAST_SPLINES, MOST_SPLINES))
+        count = int(np.clip(stations / TUNING.stations_per_spline, TUNING.least_splines, TUNING.most_splines))
         splines = _splines(length_px, count)
         self._fine = np.stack([splines(self._fine_px, nu) for nu in range(3)])
         self._at_stations = np.ascontiguousarray(self._fine[:, 1::2])
         bending = self._fine[2].T @ self._fine[2]
-        self._stiffness = STIFFNESS * stations / np.trace(bending) * bending
+        self._stiffness = TUNING.stiffness * stations / np.trace(bending) * bending
         self._project = np.linalg.pinv(self._fine[0])
         # Numbers of splines with which a profile may be learned, increasing.
         self.wide_counts = _wide_counts(stations)
@@ -127,18 +153,22 @@ class Centreline:
 
 
 def _wide_counts(stations: int) -> tuple[int, ...]:
-    few = int(np.clip(stations / STATIONS_PER_WIDE_SPLINE, LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES))
+    few = int(
+        np.clip(
+            stations / TUNING.stations_per_wide_spline, TUNING.least_wide_splines, TUNING.most_wide_splines
+        )
+    )
     counts = [min(few, stations - 1)]
-    while MORE_SPLINES * counts[-1] <= min(
-        stations / STATIONS_PER_NARROWEST, MOST_SPLINES + LEAST_WIDE_SPLINES
+    while TUNING.more_splines * counts[-1] <= min(
+        stations / TUNING.stations_per_narrowest, TUNING.most_splines + TUNING.least_wide_splines
     ):
-        counts.append(int(np.ceil(MORE_SPLINES * counts[-1])))
+        counts.append(int(np.ceil(TUNING.more_splines * counts[-1])))
     return tuple(counts)
 
 
-def _splines(length_px: float, count: int) -> BSpline:
+def _splines(length_px: float, count: int) -> scipy.interpolate.BSpline:
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, length_px, count - 2), np.full(3, length_px)])
-    return BSpline(knots, np.eye(count), 3)
+    return scipy.interpolate.BSpline(knots, np.eye(count), 3)
 
 
 def _curve(basis: FloatArray, coefs: FloatArray) -> CurveAt:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,48 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the fit of a station."""
+
+    #: [steps] a fit that needs more has failed
+    max_iterations: int = 12
+    #: [px] a step below it is the last
+    #: physics: the error after a step e is of order e^3 over the blur squared: the term in e^2 vanishes over a whole
+    #: profile
+    step_tolerance_px: float = 0.03
+    #: [px] largest effect of a change of the gain on the displacement after the last step
+    #: physics: a wrong gain scales the step by its relative error; this is an eighth of a usual sd (0.008 px)
+    gain_tolerance_px: float = 1e-3
+    #: [px] longest step taken at once
+    #: convention: the gradients of a blurred edge are not valid farther from it
+    largest_step_px: float = 1.0
+    #: [pixels] without which a station is not fitted
+    least_pixels: int = 8
+    #: [px] beyond the window, up to which pixels are collected
+    #: physics: saves collecting them again for each step; a displacement beyond it needs others, so that it changes no
+    #: result
+    margin_px: float = 1.5
+    #: [px] path during the exposure below which blur is not modelled
+    #: physics: the sd grows by less than 1 %
+    least_blur_px: float = 0.2
+    #: [px] a station beyond it is not fitted
+    #: physics: larger than any image that can be read, and small enough for whole numbers of 64 bits
+    farthest_px: float = 1e7
+
+
+TUNING = Tuning()
+# Frozen into compiled code.
+MAX_ITERATIONS = TUNING.max_iterations
+STEP_TOLERANCE_PX = TUNING.step_tolerance_px
+GAIN_TOLERANCE_PX = TUNING.gain_tolerance_px
+LARGEST_STEP_PX = TUNING.largest_step_px
+LEAST_PIXELS = TUNING.least_pixels
+MARGIN_PX = TUNING.margin_px
+LEAST_BLUR_PX = TUNING.least_blur_px
+FARTHEST_PX = TUNING.farthest_px
 
 # State of a station: displacement along the normal in px, gain, offset.
 STATE = 3
@@ -23,15 +66,6 @@ BY_GAIN, BY_OFFSET, SD_KNOWN = range(RESULT - 3, RESULT)
 
 # Compiler options under which sums may be evaluated in any order.
 REORDER = {"contract", "reassoc"}
-MAX_ITERATIONS = 12
-# The error after a step e is of order e^3 over the blur squared: the term in e^2 vanishes over a whole profile.
-STEP_TOLERANCE_PX = 0.03
-LARGEST_STEP_PX = 1.0
-LEAST_PIXELS = 8
-# Pixels are collected up to this far beyond the window; a displacement beyond it needs others.
-MARGIN_PX = 1.5
-# Path during the exposure below which blur is not modelled: the sd grows by less than 1 %.
-LEAST_BLUR_PX = 0.2
 
 
 class Profiles(NamedTuple):
@@ -305,7 +339,7 @@ def _register_station(
         if not abs(state[0] - start[0]) <= max_shift:
             return
         # A wrong gain scales the step by its relative error.
-        if abs(shift) < STEP_TOLERANCE_PX and abs(shift * gain) < 1e-3 * abs(state[1]):
+        if abs(shift) < STEP_TOLERANCE_PX and abs(shift * gain) < GAIN_TOLERANCE_PX * abs(state[1]):
             for i in range(STATE):
                 result[i] = state[i]
             result[CONVERGED] = 1.0
@@ -354,7 +388,7 @@ def register_line(
         finite = np.isfinite(states[k, 0] + states[k, 1] + states[k, 2])
         if not (finite and np.isfinite(stations.points[k, 0] + stations.points[k, 1])):
             continue
-        if not abs(stations.points[k, 0]) + abs(stations.points[k, 1]) < 1e7:
+        if not abs(stations.points[k, 0]) + abs(stations.points[k, 1]) < FARTHEST_PX:
             continue
         polynomials = station_polynomials(profiles, k, stations.blur[k], blurred, scratch)
         _register_station(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +12,21 @@ from numba import njit
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line import kernel
 
-# Light that changes with time does so smoothly along the line, as a polynomial with this many terms.
-TERMS = 3
-# Stations on either side of one whose scatter about that polynomial decides how far to trust it there.
-NEIGHBOURS = 5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Light along an edge."""
+
+    #: [1] of the polynomial along the line that describes a change of light
+    #: convention: light changes smoothly: a parabola
+    terms: int = 3
+    #: [stations] on either side whose scatter about it decides how far to trust it
+    neighbours: int = 5
+
+
+TUNING = Tuning()
+# Frozen into compiled code.
+NEIGHBOURS = TUNING.neighbours
 
 
 class Light(NamedTuple):
@@ -31,12 +43,14 @@ class Light(NamedTuple):
     scatter: float
 
 
-UNKNOWN_LIGHT = Light(np.zeros((0, 2)), np.zeros((0, TERMS)), 0.0, 1.0)
+UNKNOWN_LIGHT = Light(np.zeros((0, 2)), np.zeros((0, TUNING.terms)), 0.0, 1.0)
 
 
 def light_basis(stations: int) -> FloatArray:
-    """Legendre polynomials over the stations, shape (stations, `TERMS`)."""
-    return np.ascontiguousarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, stations), TERMS - 1))
+    """Legendre polynomials over the stations, shape (stations, `TUNING.terms`)."""
+    return np.ascontiguousarray(
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, stations), TUNING.terms - 1)
+    )
 
 
 def learned_light(

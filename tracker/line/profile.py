@@ -5,19 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numba import njit
-from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.kernel import Profiles
 from tracker.line.pixels import most_pixels, window_pixels
+from tracker.template import fill_taps
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Learning of a profile."""
+
+    #: [1] weight of the third differences of the coefficients, relative to that of the pixels of a typical one
+    #: convention: it decides only where a line at rest shows no pixel
+    smoothing: float = 1e-3
+
+
+TUNING = Tuning()
 
 STEP_PX = 0.25
-# Weight of the third differences of the coefficients, relative to that of the pixels of a typical coefficient: it
-# decides only where a line at rest shows no pixel.
-SMOOTHING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,7 @@ def spline_values(coefs: FloatArray, first_px: float, across_px: FloatArray) -> 
     j = coefs.size
     knots = first_px + STEP_PX * (np.arange(j + 4) - 2.0)
     inside = np.clip(across_px, knots[3], knots[-4] - 1e-9)
-    return np.asarray(BSpline(knots, coefs, 3)(inside))
+    return np.asarray(scipy.interpolate.BSpline(knots, coefs, 3)(inside))
 
 
 class ProfileSums:
@@ -78,7 +88,7 @@ class ProfileSums:
             banded = np.zeros((4, count))
             for d in range(4):
                 banded[d, : count - d] = normal[: count - d, d]
-                banded[d, : count - d] += SMOOTHING * typical * np.diagonal(smoothing, d)
+                banded[d, : count - d] += TUNING.smoothing * typical * np.diagonal(smoothing, d)
             coefs.append(solveh_banded(banded, rhs, lower=True))
         return LearnedProfile(np.array(coefs), self.first_px)
 
@@ -122,12 +132,7 @@ def add_to_profile(
             j = int(np.floor(at))
             if j < 1 or j > count - 3:
                 continue
-            f = at - j
-            g = 1.0 - f
-            basis[0] = g * g * g / 6.0
-            basis[1] = (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
-            basis[2] = (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0
-            basis[3] = f * f * f / 6.0
+            fill_taps(at - j, basis)
             row, column = places[0, i], places[1, i]
             level = float(image[row, column])
             behind = texture[row, column] if texture.size else 0.0

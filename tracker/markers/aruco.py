@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.markers.kind import (
     Artwork,
     Detection,
     DetectionSettings,
@@ -20,34 +20,141 @@ from tracker.markers.base import (
     MarkerDetector,
     MarkerKind,
     NothingFound,
+    fitted,
 )
-from tracker.markers.codes import (
-    FAMILIES,
-    CodeReading,
-    dictionary_of,
-    likeness,
-    opencv_detector,
-    printed_bits,
-    read_codes,
-)
-from tracker.template.parametric import aruco_template, aruco_values
-from tracker.template.spline import Template
-from tracker.video.gray import to_8_bit
+from tracker.template import Template, aruco_template, aruco_values
+from tracker.template import template as templates
+from tracker.video import to_8_bit
 
-FRAMES_SEARCHED = 7
-# Where codes are readable in some of these frames only, all frames are searched: motion blur hides a code except near
-# the turning points. An id must then be read this often without a corrected bit, which noise rarely produces even once.
-READINGS_WHERE_HIDDEN = 3
-MOST_PIXELS = 40_000_000
-# A frame must be sharper by this factor to be preferred to an earlier one.
-SHARPER = 1.2
+
+@dataclass(frozen=True)
+class Tuning:
+    """Reading and fitting of codes."""
+
+    #: [px] per cell at which a reading is compared with its print
+    cell_px: int = 8
+    #: [frames] in which codes are sought first
+    #: convention: limits time
+    frames_searched: int = 7
+    #: [1] of these frames, in which an id must be read
+    read_share: float = 1.0 / 3.0
+    #: [frames] in which an id must be read without a corrected bit where codes are readable in some frames only
+    #: statistics: noise rarely produces one even once
+    readings_where_hidden: int = 3
+    #: [pixels] of all frames that are then searched
+    #: convention: limits time
+    most_pixels: int = 40_000_000
+    #: [pixels] of an enlarged frame
+    #: convention: chosen for memory
+    most_enlarged: int = 20_000_000
+    #: [1] factor by which a frame must be sharper to be preferred to an earlier one
+    sharper: float = 1.2
+    #: [pixels] to which the ideal marker is fitted
+    #: convention: limits time
+    points_for_shape: int = 1500
+    #: [1] correlation with the print that was read, where no dictionary is named
+    #: measurement: true codes of 10 px and more have 0.8 and more, shadows and texture with the bits of a code mostly
+    #: below 0.75
+    least_likeness: float = 0.8
+    #: [1] determinant of the map from a detection to the fitted marker, at least
+    least_area: float = 0.6
+    #: [1] and at most
+    most_area: float = 1.6
+    #: [1] of the side, of the lens blur of a fitted marker
+    largest_blur: float = 0.3
+
+
+TUNING = Tuning()
+
+# The largest dictionary of each family contains the markers of the smaller ones under the same ids.
+FAMILIES: tuple[tuple[str, ...], ...] = (
+    *(tuple(f"DICT_{n}X{n}_{count}" for count in (50, 100, 250, 1000)) for n in (4, 5, 6, 7)),
+    ("DICT_ARUCO_ORIGINAL",),
+    ("DICT_ARUCO_MIP_36h12",),
+    ("DICT_APRILTAG_36h11",),
+    ("DICT_APRILTAG_36h10",),
+    ("DICT_APRILTAG_25h9",),
+    ("DICT_APRILTAG_16h5",),
+)
+# Blurs of a print with which a reading is compared, px of the image.
+BLURS_PX = (0.0, 0.7, 1.4)
+
+
+@dataclass(frozen=True)
+class CodeReading:
+    """Corners of one marker, clockwise from its own top left, pixel centres at integers; shape (4, 2)."""
+
+    marker_id: int
+    corners_px: FloatArray
+    frame: int = 0
+
+
+def dictionary_names() -> tuple[str, ...]:
+    """Names that the setting ``dictionary`` accepts besides "auto"."""
+    return tuple(name for family in FAMILIES for name in family)
+
+
+def dictionary_of(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of this name."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def opencv_detector(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector, configured for small markers; a strict one accepts no code with a wrong bit."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = 0.01
+    parameters.adaptiveThreshWinSizeMax = 33
+    parameters.perspectiveRemovePixelPerCell = 8
+    if strict:
+        parameters.errorCorrectionRate = 0.0
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
+
+
+def read_codes(
+    image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, upscaling: int = 1
+) -> list[CodeReading]:
+    """All markers in an image; an id that occurs twice is omitted as ambiguous."""
+    if upscaling > 1:
+        enlarged = cv2.resize(image, None, fx=upscaling, fy=upscaling, interpolation=cv2.INTER_CUBIC)
+        image = np.asarray(enlarged, dtype=np.uint8)
+    corners, ids, _ = detector.detectMarkers(image)
+    if ids is None:
+        return []
+    seen: dict[int, list[FloatArray]] = defaultdict(list)
+    for marker_id, quad in zip(ids.ravel(), corners, strict=True):
+        # Resizing preserves areas: pixel p of the small image is centred at scale * p + (scale - 1) / 2.
+        points = (quad.reshape(4, 2).astype(np.float64) - 0.5 * (upscaling - 1)) / upscaling
+        seen[int(marker_id)].append(points)
+    return [CodeReading(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
+
+
+def likeness(image: NDArray[np.uint8], reading: CodeReading, dictionary: cv2.aruco.Dictionary) -> float:
+    """Correlation of the image with the print of the code, border included, at the best of some blurs.
+
+    A code is read from a bit for each cell; shadows, bricks or texture can have the same bits by chance, but look
+    otherwise.
+    """
+    bits = printed_bits(dictionary, reading.marker_id)
+    side = len(bits) * TUNING.cell_px
+    corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], dtype=np.float32) - np.float32(0.5)
+    view = cv2.getPerspectiveTransform(reading.corners_px.astype(np.float32), corners)
+    seen = cv2.warpPerspective(image, view, (side, side), flags=cv2.INTER_LINEAR).astype(np.float64)
+    ideal = np.kron(bits, np.ones((TUNING.cell_px, TUNING.cell_px)))
+    if np.ptp(seen) == 0.0:
+        return 0.0
+    enlarged = side / np.sqrt(max(abs(float(cv2.contourArea(reading.corners_px.astype(np.float32)))), 1.0))
+    prints = (ndimage.gaussian_filter(ideal, blur * enlarged, mode="constant", cval=1.0) for blur in BLURS_PX)
+    return max(float(np.corrcoef(seen.ravel(), p.ravel())[0, 1]) for p in prints)
+
+
+def printed_bits(dictionary: cv2.aruco.Dictionary, marker_id: int) -> NDArray[np.uint8]:
+    """Cells of a marker, border included, 1 white."""
+    drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, dictionary.markerSize + 2)
+    return np.asarray(np.asarray(drawn) > 127, dtype=np.uint8)
+
+
 # Small markers are enlarged before detection: the detector needs 4 px per cell.
 UPSCALINGS = (1, 2, 3)
-FIRST_BLUR_PX = 0.7
-POINTS_FOR_SHAPE = 1500
-# Without a named dictionary an image must look like the print that was read: true codes of 10 px and more have 0.8
-# and more, shadows and texture with the bits of a code mostly below 0.75.
-LEAST_LIKENESS = 0.8
 
 Readings = dict[int, CodeReading]
 Images = dict[int, NDArray[np.uint8]]
@@ -120,7 +227,7 @@ def _sharpest(images: Images, hits: list[CodeReading]) -> CodeReading:
         part = images[reading.frame][low[1] : high[1], low[0] : high[0]].astype(np.float64)
         steep = np.mean(np.diff(part, axis=0) ** 2) + np.mean(np.diff(part, axis=1) ** 2)
         sharpness = float(steep / max(part.var(), 1.0))
-        if sharpness > (SHARPER if most else 0.0) * most:
+        if sharpness > (TUNING.sharper if most else 0.0) * most:
             best, most = reading, sharpness
     return best
 
@@ -153,7 +260,7 @@ class ArucoDetector:
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Ids read in a third of a few frames, or repeatedly in all frames where some are hidden; in order of id."""
-        picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_SEARCHED)})
+        picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, TUNING.frames_searched)})
         images = {k: to_8_bit(frames[k]) for k in picks}
         notes: list[str] = []
         seen: Readings = {}
@@ -168,7 +275,7 @@ class ArucoDetector:
                 return NothingFound(
                     f"ids {ids} of {self._wanted} were read in too few of the first {len(frames)} frames to be "
                     "tracked: blurred, small or hidden; record with a shorter exposure or more light",
-                    _centres(best[1]),
+                    seen_px=_centres(best[1]),
                 )
             others, self._rejected = self._rejected, []
             self._used, seen = best[0], self._confirmed(frames, images, *best)
@@ -180,7 +287,7 @@ class ArucoDetector:
                 return NothingFound(
                     f"no marker of {self._wanted} was detected, but ids {ids} of {self._used}: "
                     f"did you mean dictionary = {self._used!r}?",
-                    _centres(seen),
+                    seen_px=_centres(seen),
                 )
             notes.append(f"ArUco markers {ids} were recognised as {self._used}.")
         positions = self._positions(seen)
@@ -214,18 +321,19 @@ class ArucoDetector:
         reason = f"no ArUco marker of {searched} was detected in the first {frames} frames"
         if self._rejected:
             reason += f" (rejected: {'; '.join(self._rejected)})"
-        return NothingFound(reason, _unread_squares(image), tuple(self._rejected))
+        return NothingFound(reason, seen_px=_unread_squares(image), rejected=tuple(self._rejected))
 
-    def _read(self, images: Images, name: str, *, strict: bool, share: float = 1.0 / 3.0) -> Readings:
+    def _read(self, images: Images, name: str, *, strict: bool, share: float | None = None) -> Readings:
         """Sharpest reading of each id, at the smallest enlargement beyond which no more ids are read.
 
         An id counts when it is read in this share of the images, and in two of several unless the share is 0.
         """
+        share = TUNING.read_share if share is None else share
         best: Readings = {}
         detector = opencv_detector(dictionary_of(name), strict=strict)
         needed = max(1, min(2, len(images)), int(np.ceil(share * len(images)))) if share else 1
         for upscaling in UPSCALINGS:
-            if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
+            if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > TUNING.most_enlarged:
                 break
             readings = _readings(images, detector, upscaling)
             kept = {i: hits for i, hits in readings.items() if len(hits) >= needed}
@@ -241,11 +349,11 @@ class ArucoDetector:
         seen = self._read(images, name, strict=False)
         if not self._hidden:
             return seen
-        step = -(-len(frames) * frames[0].size * self._upscaling**2 // MOST_PIXELS)
+        step = -(-len(frames) * frames[0].size * self._upscaling**2 // TUNING.most_pixels)
         more = {k: to_8_bit(frames[k]) for k in range(0, len(frames), step)} | images
         readings = _readings(more, opencv_detector(dictionary_of(name), strict=True), self._upscaling)
         for marker_id, hits in readings.items():
-            if marker_id in seen or len(hits) >= READINGS_WHERE_HIDDEN:
+            if marker_id in seen or len(hits) >= TUNING.readings_where_hidden:
                 earlier = [seen[marker_id]] if marker_id in seen else []
                 seen[marker_id] = _sharpest(more, [*earlier, *hits])
         return dict(sorted(seen.items()))
@@ -277,7 +385,7 @@ class ArucoDetector:
         kept: Readings = {}
         for marker_id, reading in seen.items():
             found = likeness(images[reading.frame], reading, dictionary_of(name))
-            if found >= LEAST_LIKENESS:
+            if found >= TUNING.least_likeness:
                 kept[marker_id] = reading
             else:
                 self._rejected.append(
@@ -293,7 +401,7 @@ class ArucoDetector:
             return NothingFound(
                 f"positions_mm names {len(self._positions_mm)} markers, but {len(seen)} were detected "
                 f"(ids {ids} of {self._used}); give one position for each, in order of id",
-                _centres(seen),
+                seen_px=_centres(seen),
             )
         return list(self._positions_mm)
 
@@ -309,7 +417,7 @@ class ArucoDetector:
             y_px=float(centre[1]),
             warp=warp,
             size_px=side,
-            template=aruco_template(bits, side, FIRST_BLUR_PX),
+            template=aruco_template(bits, side, templates.TUNING.first_blur_px),
             dictionary=self._used,
             marker_id=reading.marker_id,
             bits=bits,
@@ -343,7 +451,7 @@ class ArucoKind(MarkerKind):
         """Affine map, blur and both gray levels; None when the fit leaves the marker's neighbourhood."""
         assert isinstance(detection, CodeDetection)  # noqa: S101 - made by this kind's detector
         bits, size = detection.bits, detection.size_px
-        every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
+        every = max(1, points_uv.shape[1] // TUNING.points_for_shape)
         points, gray = points_uv[:, ::every], gray[::every]
         low, high = np.percentile(gray, (10, 90))
 
@@ -353,16 +461,18 @@ class ArucoKind(MarkerKind):
             ideal = aruco_values(at[0], at[1], bits, size, np.exp(p[6]))
             return np.asarray((p[7] + (p[8] - p[7]) * ideal - gray) / max(high - low, 1e-9))
 
-        start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
+        start = np.array([0, 0, 0, 0, 0, 0, np.log(templates.TUNING.first_blur_px), low, high])
         scales = [1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50]
-        fit = scipy.optimize.least_squares(
-            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
-        )
-        matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
-        blur, dark, light = float(np.exp(fit.x[6])), float(fit.x[7]), float(fit.x[8])
-        if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * size or light <= dark:
+        found = fitted(residual, start, scales)
+        matrix = np.eye(2) + found[2:6].reshape(2, 2)
+        blur, dark, light = float(np.exp(found[6])), float(found[7]), float(found[8])
+        if (
+            not TUNING.least_area < np.linalg.det(matrix) < TUNING.most_area
+            or blur > TUNING.largest_blur * size
+            or light <= dark
+        ):
             return None
-        return IdealFit(aruco_template(bits, size, blur), matrix, fit.x[:2], dark, light, size)
+        return IdealFit(aruco_template(bits, size, blur), matrix, found[:2], dark, light, size)
 
     def marker_name(self, rank: int) -> str:
         """Name of the marker with this id."""

@@ -6,29 +6,74 @@ leaves a marker at one end without a spot and a spot at the other end without a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
+from typing import Literal, cast
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
 
-from tracker.arrays import BoolArray, FloatArray, IntArray
+from tracker.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from tracker.markers.kind import (
+    Candidates,
+    Detection,
+    FoundMarkers,
+    MarkerDetector,
+    NothingFound,
+    SimilarMarkerDetector,
+)
 
-# Negative logarithm of the probability that a visible marker is not detected, or that a spot is no marker.
-MISSING = 9.0
-# The same for a spot that comes into view (rare: the first frame usually shows all) and a marker that leaves it.
-ENTERING, LEAVING = 7.0, 2.0
-# Largest cost of an unexpected motion (a pluck, a release), and of one beyond the range of an oscillation.
-UNPREDICTED, OUT_OF_RANGE = 16.0, 16.0
-# The best hypothesis must be better than any that contradicts it by this much: a factor of 400 in probability.
-DECISIVE = 6.0
-# Deviations of single markers from the common motion, relative to their spacing: sd, and largest.
-SHAPE_SD, SHAPE_LIMIT = 0.15, 0.45
-# A single marker has no spacing: spots within this many sizes are alternatives.
-ALONE = 8.0
-# Common motions examined in detail; a marker fewer than the best at first sight costs at least `MISSING`.
-MOST_HYPOTHESES, FEWER = 12, 2
-# A line of markers does not fold: distances between neighbours change by less than this factor.
-MOST_STRETCH = 1.7
+
+@dataclass(frozen=True)
+class Tuning:
+    """Joint assignment of markers that look alike, and their order along the beam."""
+
+    #: [1] negative logarithm of the probability that a visible marker is not detected, or that a spot is no marker
+    #: convention: one of 8000
+    missing: float = 9.0
+    #: [1] the same for a spot that comes into view
+    #: convention: rare: the first frame usually shows all
+    entering: float = 7.0
+    #: [1] the same for a marker that leaves it
+    #: convention: one of 7
+    leaving: float = 2.0
+    #: [1] largest cost of an unexpected motion (a pluck, a release)
+    #: convention: less than that of two markers that are missing
+    unpredicted: float = 16.0
+    #: [1] largest cost of one beyond the range of an oscillation
+    #: convention: as above
+    out_of_range: float = 16.0
+    #: [1] by which the best hypothesis must be better than any that contradicts it
+    #: statistics: a factor of 400 in probability
+    decisive: float = 6.0
+    #: [1] sd of deviations of single markers from the common motion, relative to their spacing
+    shape_sd: float = 0.15
+    #: [1] the largest of them
+    #: physics: from half the spacing on the neighbour is nearer
+    shape_limit: float = 0.45
+    #: [1] sizes within which spots are alternatives for a single marker, which has no spacing
+    alone: float = 8.0
+    #: [1] common motions examined in detail
+    #: convention: limits time
+    most_hypotheses: int = 12
+    #: [markers] that a motion may bring fewer to a spot than the best one
+    #: physics: each costs at least `missing`
+    fewer: int = 2
+    #: [1] factor by which distances between neighbours change less
+    #: convention: a line of markers does not fold
+    most_stretch: float = 1.7
+    #: [1] factor by which one direction must fit worse before the spacing alone decides the clamped end
+    decisive_ratio: float = 3.0
+    #: [1] misfit of that direction, relative to the extent, at least
+    least_misfit: float = 0.02
+    #: [1] of the smallest spacing, within which a spot must be where the others say
+    near_spot: float = 0.2
+    #: [1] of the smallest spacing, by which two hypotheses differ
+    apart: float = 0.25
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -60,11 +105,11 @@ class Expectation:
 
     def cost(self, motion_px: FloatArray) -> float:
         """Negative logarithm of the probability of a common displacement."""
-        cost = min(0.5 * float(motion_px @ motion_px) / self.sd_px**2, UNPREDICTED)
+        cost = min(0.5 * float(motion_px @ motion_px) / self.sd_px**2, TUNING.unpredicted)
         if self.range_px is None:
             return cost
         beyond = np.maximum(np.maximum(self.range_px[0] - motion_px, motion_px - self.range_px[1]), 0.0)
-        return cost + min(0.5 * float(beyond @ beyond) / self.range_sd_px**2, OUT_OF_RANGE)
+        return cost + min(0.5 * float(beyond @ beyond) / self.range_sd_px**2, TUNING.out_of_range)
 
 
 @dataclass(frozen=True)
@@ -96,7 +141,7 @@ class Scene:
 def spacing_px(points_px: FloatArray, size_px: float) -> FloatArray:
     """Distance from each marker to the nearest other one, some sizes for a single one; shape (m,)."""
     if len(points_px) < 2:
-        return np.full(len(points_px), ALONE * size_px)
+        return np.full(len(points_px), TUNING.alone * size_px)
     distance = scipy.spatial.distance.cdist(points_px, points_px)
     np.fill_diagonal(distance, np.inf)
     return np.asarray(np.maximum(distance.min(axis=1), 1.0))
@@ -114,7 +159,7 @@ def assign(scene: Scene) -> Assignment:
     """The common motion that explains the spots best, and the spot of each marker under it.
 
     Every hypothesis is a common displacement from the expected positions, then refined to one that is linear along the
-    line of markers. It costs `MISSING` for each visible marker without a spot and each spot that is not a marker
+    line of markers. It costs `TUNING.missing` for each visible marker without a spot and each spot that is not a marker
     (less for those that left the view or came into it), the square of the motion in units of its uncertainty, and the
     deviations of single markers. Where hypotheses that differ about a marker cost nearly the same, it gets none.
     """
@@ -128,7 +173,7 @@ def assign(scene: Scene) -> Assignment:
     least, best = ranked[0][0], np.array(ranked[0][1])
     ambiguous = np.zeros(m, dtype=bool)
     for cost, other in ranked[1:]:
-        if cost < least + DECISIVE:
+        if cost < least + TUNING.decisive:
             rival = np.array(other)
             ambiguous |= (rival >= 0) & (best >= 0) & (rival != best)
             # A spot that may also be another marker.
@@ -152,16 +197,16 @@ def _motions(scene: Scene) -> FloatArray:
     order = np.lexsort((np.hypot(*steps.T), -counts))
     kept = [np.zeros(2)]
     for k in order:
-        if counts[k] < counts[order[0]] - FEWER or len(kept) >= MOST_HYPOTHESES:
+        if counts[k] < counts[order[0]] - TUNING.fewer or len(kept) >= TUNING.most_hypotheses:
             break
-        if min(np.hypot(*(steps[k] - other)) for other in kept) > 0.25 * spacing.min():
+        if min(np.hypot(*(steps[k] - other)) for other in kept) > TUNING.apart * spacing.min():
             kept.append(steps[k])
     return np.array(kept)
 
 
 def _matches(scene: Scene, motion: FloatArray, spacing: FloatArray) -> int:
     distance = scipy.spatial.distance.cdist(scene.expected_px + motion, scene.spots_px).min(axis=1)
-    return int(np.count_nonzero(distance < SHAPE_LIMIT * spacing))
+    return int(np.count_nonzero(distance < TUNING.shape_limit * spacing))
 
 
 def _refined(scene: Scene, motion: FloatArray) -> IntArray:
@@ -200,7 +245,7 @@ def _along(points_px: FloatArray) -> FloatArray:
 def _nearest(scene: Scene, where: FloatArray) -> IntArray:
     """One spot at most for each marker at `where`, so that the deviations are smallest."""
     cost = _deviation_cost(scene, where)
-    rows, columns = scipy.optimize.linear_sum_assignment(np.minimum(cost - 2.0 * MISSING, 0.0))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.minimum(cost - 2.0 * TUNING.missing, 0.0))
     spots = np.full(len(where), -1)
     near = np.isfinite(cost[rows, columns])
     spots[rows[near]] = columns[near]
@@ -210,7 +255,7 @@ def _nearest(scene: Scene, where: FloatArray) -> IntArray:
 def _deviation_cost(scene: Scene, where: FloatArray) -> FloatArray:
     """Cost of each spot for each marker at `where`, infinite beyond the limit; shape (m, s)."""
     relative = scipy.spatial.distance.cdist(where, scene.spots_px) / scene.spacing_px()[:, None]
-    return np.where(relative < SHAPE_LIMIT, 0.5 * (relative / SHAPE_SD) ** 2, np.inf)
+    return np.where(relative < TUNING.shape_limit, 0.5 * (relative / TUNING.shape_sd) ** 2, np.inf)
 
 
 def _in_order(scene: Scene) -> IntArray:
@@ -225,7 +270,7 @@ def _in_order(scene: Scene) -> IntArray:
     before, after = (np.diff(p[order], axis=0) for p in (scene.expected_px, scene.spots_px[pairs]))
     stretch = np.linalg.norm(after, axis=1) / np.maximum(np.linalg.norm(before, axis=1), 1e-9)
     forward = np.einsum("ij,ij->i", before, after) > 0.0
-    fits = forward & (stretch < MOST_STRETCH) & (stretch > 1.0 / MOST_STRETCH)
+    fits = forward & (stretch < TUNING.most_stretch) & (stretch > 1.0 / TUNING.most_stretch)
     return np.asarray(pairs if np.all(fits) else np.full(len(pairs), -1))
 
 
@@ -234,12 +279,171 @@ def _cost(scene: Scene, spots: IntArray) -> float:
     seen = spots >= 0
     if not seen.any():
         visible = np.count_nonzero(scene.is_visible(scene.expected_px))
-        return MISSING * float(visible + len(scene.spots_px)) + UNPREDICTED
+        return TUNING.missing * float(visible + len(scene.spots_px)) + TUNING.unpredicted
     motion = _motion(scene, spots)
     missing = scene.is_visible(scene.expected_px[~seen] + motion)
     idle = np.setdiff1d(np.arange(len(scene.spots_px)), spots[seen])
     unexplained = scene.is_visible(scene.spots_px[idle] - motion)
-    exceptions = np.where(missing, MISSING, LEAVING).sum() + np.where(unexplained, MISSING, ENTERING).sum()
+    exceptions = (
+        np.where(missing, TUNING.missing, TUNING.leaving).sum()
+        + np.where(unexplained, TUNING.missing, TUNING.entering).sum()
+    )
     deviation = _deviation_cost(scene, scene.expected_px + _field(scene, spots, seen))
-    shape = np.minimum(deviation[np.flatnonzero(seen), spots[seen]], MISSING).sum()
+    shape = np.minimum(deviation[np.flatnonzero(seen), spots[seen]], TUNING.missing).sum()
     return float(exceptions + shape + scene.expectation.cost(motion))
+
+
+ClampSide = Literal["top", "bottom", "left", "right"]
+
+
+@dataclass(frozen=True)
+class BeamOrder:
+    """Indices of the markers from the clamp outwards, and notes for the user."""
+
+    order: IntArray
+    notes: tuple[str, ...]
+
+
+def order_along_beam(
+    points_px: FloatArray, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None
+) -> BeamOrder:
+    """Sort markers, of shape (n, 2), from the clamp outwards.
+
+    The line through the markers is their first principal axis. Its clamped end is at `clamp_side` where given; else
+    at the end from which `positions_mm` fit the spacing clearly better; else at the top of the image for a line closer
+    to vertical, at the left for one closer to horizontal.
+    """
+    centred = points_px - points_px.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(points_px) > 1 else np.array([0.0, 1.0])
+    upright = abs(axis[1]) >= abs(axis[0])
+    side = clamp_side or ("top" if upright else "left")
+    outward = {"top": (0, 1), "bottom": (0, -1), "left": (1, 0), "right": (-1, 0)}[side]
+    if axis @ np.array(outward, dtype=np.float64) < 0:
+        axis = -axis
+    along = centred @ axis
+    order = np.argsort(along, kind="stable")
+    if clamp_side is not None or len(order) < 2:
+        return BeamOrder(order, ())
+    if positions_mm is not None and len(order) > 2:
+        forward = _misfit(along[order], positions_mm)
+        backward = _misfit(-along[order[::-1]], positions_mm)
+        if forward > TUNING.decisive_ratio * backward and forward > TUNING.least_misfit:
+            note = (
+                "The spacing of the markers puts the clamp at the opposite end; set clamp_side to override."
+            )
+            return BeamOrder(order[::-1].copy(), (note,))
+        if backward > TUNING.decisive_ratio * forward and backward > TUNING.least_misfit:
+            return BeamOrder(order, ())
+    note = f"The clamp is assumed at the {side} of the image; set clamp_side if it is not."
+    return BeamOrder(order, (note,))
+
+
+def _misfit(along_px: FloatArray, positions_mm: tuple[float, ...]) -> float:
+    """Rms deviation of sorted pixel positions from a line in `positions_mm`, relative to their extent."""
+    mm = np.array(positions_mm)
+    line = np.polynomial.polynomial.polyfit(mm, along_px, 1)
+    if line[1] <= 0:
+        return float("inf")
+    rest = along_px - np.polynomial.polynomial.polyval(mm, line)
+    return float(np.sqrt(np.mean(rest**2)) / max(np.ptp(along_px), 1e-9))
+
+
+def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> IntArray | None:
+    """Indices of the spots that lie on a line with the spacing of `positions_mm`, among more spots than markers.
+
+    Every pair of spots is tried as first and last marker; the others must lie within a fifth of the smallest spacing.
+    The subset with the smallest error is returned, None when none fits.
+    """
+    mm = np.array(positions_mm)
+    first, last = int(np.argmin(mm)), int(np.argmax(mm))
+    share = (mm - mm[first]) / (mm[last] - mm[first])
+    spacing = float(np.min(np.diff(np.sort(share))))
+    fitting: list[tuple[float, tuple[int, ...]]] = []
+    for start, stop in permutations(points_px, 2):
+        span = stop - start
+        expected = start + share[:, None] * span
+        distance = np.linalg.norm(points_px[None, :, :] - expected[:, None, :], axis=2)
+        nearest = np.argmin(distance, axis=1)
+        error = distance[np.arange(len(mm)), nearest]
+        if len(set(nearest.tolist())) == len(
+            mm
+        ) and error.max() < TUNING.near_spot * spacing * np.linalg.norm(span):
+            relative = float(np.sqrt(np.mean(error**2)) / np.linalg.norm(span))
+            fitting.append((relative, tuple(sorted(nearest.tolist()))))
+    return np.array(min(fitting)[1], dtype=np.int64) if fitting else None
+
+
+# Two opposite corners, in px.
+Region = Sequence[Sequence[float]]
+
+
+def leaving_out(detector: MarkerDetector, regions: Sequence[Region]) -> MarkerDetector:
+    """Detector that finds nothing in these regions, neither at first nor when a marker is lost."""
+    if not regions:
+        return detector
+    return (
+        _Similar(detector, regions)
+        if isinstance(detector, SimilarMarkerDetector)
+        else _Other(detector, regions)
+    )
+
+
+def filled(image: GrayImage, regions: Sequence[Region]) -> GrayImage:
+    """Copy of an image whose regions continue the gray levels around them, without an edge of their own."""
+    out = image.copy()
+    for region in regions:
+        (left, top), (right, bottom) = np.sort(np.rint(np.asarray(region, dtype=float)), axis=0).astype(int)
+        rows = slice(max(top, 0), min(bottom + 1, image.shape[0]))
+        columns = slice(max(left, 0), min(right + 1, image.shape[1]))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            out[rows, columns] = _continued(out, rows, columns)
+    return out
+
+
+def _continued(image: GrayImage, rows: slice, columns: slice) -> FloatArray:
+    """Mean of what the pixels to the left and right, and those above and below, give for each pixel of a region."""
+    across = _between(image[rows], columns)
+    along = _between(image[:, columns].T, rows)
+    known = [part for part in (across, None if along is None else along.T) if part is not None]
+    return np.asarray(np.rint(np.mean(known, axis=0)) if known else np.median(image))
+
+
+def _between(lines: GrayImage, part: slice) -> FloatArray | None:
+    """Values of each line between the pixels before and after a part of it; None where there is neither."""
+    before = lines[:, part.start - 1].astype(float) if part.start > 0 else None
+    after = lines[:, part.stop].astype(float) if part.stop < lines.shape[1] else None
+    if before is None or after is None:
+        one = before if after is None else after
+        return None if one is None else np.repeat(one[:, None], part.stop - part.start, axis=1)
+    share = np.arange(1, part.stop - part.start + 1) / (part.stop - part.start + 1)
+    return np.asarray(before[:, None] + share * (after - before)[:, None])
+
+
+class _Other:
+    """Detector of markers that are told from each other, without the regions."""
+
+    def __init__(self, detector: MarkerDetector, regions: Sequence[Region]) -> None:
+        self._detector = detector
+        self._regions = regions
+
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        height, width = frames[0].shape
+        for region in self._regions:
+            (left, top), (right, bottom) = np.sort(np.asarray(region, dtype=float), axis=0)
+            if right < 0.0 or bottom < 0.0 or left > width - 1 or top > height - 1:
+                return NothingFound(
+                    f"the region of leave_out_px from ({left:g}, {top:g}) to ({right:g}, {bottom:g}) lies outside the "
+                    f"image of {width} x {height} px"
+                )
+        return self._detector.detect([filled(frame, self._regions) for frame in frames])
+
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
+        return self._detector.redetect(filled(image, self._regions), sought)
+
+
+class _Similar(_Other):
+    """The same for markers that cannot be told from each other."""
+
+    def candidates(self, image: GrayImage, sought: tuple[Detection, ...]) -> Candidates:
+        detector = cast("SimilarMarkerDetector", self._detector)
+        return detector.candidates(filled(image, self._regions), sought)

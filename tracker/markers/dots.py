@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.markers.assignment import ClampSide, matching_subset, order_along_beam
+from tracker.markers.kind import (
     Artwork,
     Candidates,
     Detection,
@@ -19,23 +19,64 @@ from tracker.markers.base import (
     MarkerDetector,
     MarkerKind,
     NothingFound,
+    fitted,
+    part_around,
 )
-from tracker.markers.beam_order import ClampSide, matching_subset, order_along_beam
-from tracker.markers.similar_spots import gray_level, similar_spots
-from tracker.markers.spot_motion import MOVED_PX, spot_motion, spot_paths, still_and_beside, stillest_frame
-from tracker.markers.spots import Spot, find_spots, largest_group
-from tracker.template.parametric import disc_template, disc_values, step_response
-from tracker.template.spline import Template
+from tracker.markers.proposals import TUNING as MOTION
+from tracker.markers.proposals import spot_motion, spot_paths, still_and_beside, stillest_frame
+from tracker.markers.spots import Spot, find_spots, gray_level, largest_group, similar_spots
+from tracker.template import Template, disc_template, disc_values, step_response
+from tracker.template import template as templates
 
-FIRST_BLUR_PX = 0.7
-# Pixels of a large dot that its ideal template is fitted to.
-POINTS_FOR_SHAPE = 4000
-# Largest radius of a fitted disc that is the dot, and radius beyond which a fit is not followed, in diameters.
-LARGEST_RADIUS, BEYOND = 1.0, 1.5
-# Dots are searched for within this distance of where they are expected: in px, in diameters, in spacings.
-REACH_PX, REACH_DIAMETERS, REACH_SPACINGS = 80.0, 4.0, 1.25
-# Dots are searched for at one gray level, or at three where their levels differ by more than this share.
-UNEVEN = 0.15
+
+@dataclass(frozen=True)
+class Tuning:
+    """Dots: their ideal template, and where they are sought."""
+
+    #: [pixels] of a large dot to which its ideal template is fitted
+    #: convention: limits time
+    points_for_shape: int = 4000
+    #: [1] in diameters, of a fitted disc that is the dot
+    #: convention: twice that of the dot as detected
+    largest_radius: float = 1.0
+    #: [1] in diameters, radius beyond which a fit is not followed
+    #: convention: what is no dot may pull the radius to any size, and the time of a disc grows with its cube
+    beyond: float = 1.5
+    #: [px] within which dots are sought about where they are expected, at least
+    reach_px: float = 80.0
+    #: [1] the same in diameters
+    reach_diameters: float = 4.0
+    #: [1] the same in spacings
+    #: convention: beyond it the next dot is nearer
+    reach_spacings: float = 1.25
+    #: [1] difference of the dots' gray levels from which they are sought at three levels
+    uneven: float = 0.15
+    #: [1] in diameters, of a fitted disc that is the dot
+    least_radius: float = 0.25
+    #: [1] in diameters from its centre, where a learned dot has its own gray level
+    core: float = 0.25
+    #: [1] the same of a large dot
+    large_core: float = 0.3
+    #: [1] in diameters, beyond which a large dot has that of its surroundings
+    large_rim: float = 0.55
+    #: [1] of the radius, of the lens blur of a large dot
+    largest_blur: float = 0.3
+    #: [1] around a dot, within which it is detected again in its sharpest frame
+    part_diameters: float = 2.0
+    #: [px] that are added to it
+    part_px: float = 8.0
+    #: [px] of this part that must be in the image
+    least_part_px: int = 16
+    #: [1] diameter there over that in the first frame, at least
+    least_change: float = 0.6
+    #: [1] and at most
+    most_change: float = 1.5
+    #: [spots] of which those with the spacing of positions_mm are chosen
+    #: convention: limits time
+    most_candidates: int = 60
+
+
+TUNING = Tuning()
 
 
 class DotDetector:
@@ -63,11 +104,11 @@ class DotDetector:
         group = largest_group(spots)
         if not group:
             seen = _centres(spots) if spots else None
-            return NothingFound("no round dot of 5 to 200 px was detected in the first frame", seen)
+            return NothingFound("no round dot of 5 to 200 px was detected in the first frame", seen_px=seen)
         positions_mm = self._positions_mm
         chosen, notes = self._without_background(frames, spots, group)
         if chosen is None:
-            return NothingFound(self._wrong_count(spots, group), _centres(group))
+            return NothingFound(self._wrong_count(spots, group), seen_px=_centres(group))
         beam = order_along_beam(_centres(chosen), positions_mm, self._clamp_side)
         positions = sorted(positions_mm) if positions_mm is not None else [float("nan")] * len(chosen)
         self._remember(frames, spots, chosen)
@@ -92,10 +133,10 @@ class DotDetector:
         if others:
             points = _centres(others)
             motion = spot_motion(frames, points, np.array([s.diameter_px for s in others]))
-            self._others_px = points[motion < MOVED_PX]
+            self._others_px = points[motion < MOTION.moved_px]
         levels = np.array([gray_level(frames[0], at, self._size_px) for at in _centres(chosen)])
         low, middle, high = np.percentile(levels, (0.0, 50.0, 100.0))
-        self._levels = np.array([low, middle, high] if high - low > UNEVEN * middle else [middle])
+        self._levels = np.array([low, middle, high] if high - low > TUNING.uneven * middle else [middle])
 
     def _without_background(
         self, frames: list[GrayImage], spots: list[Spot], group: list[Spot]
@@ -122,7 +163,7 @@ class DotDetector:
         kept = [s for s, out in zip(group, background, strict=True) if not out]
         positions_mm = self._positions_mm
         if positions_mm is not None and len(kept) != len(positions_mm):
-            moved = [s for s, m in zip(group, motion, strict=True) if m > MOVED_PX]
+            moved = [s for s, m in zip(group, motion, strict=True) if m > MOTION.moved_px]
             return moved if len(moved) == len(positions_mm) else kept
         return kept
 
@@ -130,7 +171,7 @@ class DotDetector:
         if self._positions_mm is None or len(self._positions_mm) < 3:
             return None
         for candidates in (group, spots):
-            if len(self._positions_mm) < len(candidates) <= 60:
+            if len(self._positions_mm) < len(candidates) <= TUNING.most_candidates:
                 subset = matching_subset(_centres(candidates), self._positions_mm)
                 if subset is not None:
                     return [candidates[k] for k in subset]
@@ -159,7 +200,7 @@ class DotDetector:
     def _find(self, image: GrayImage, expected_px: FloatArray) -> Candidates:
         low, high = expected_px.min(axis=0), expected_px.max(axis=0)
         spacing = float(np.hypot(*(high - low))) / max(len(expected_px) - 1, 1)
-        reach = max(REACH_PX, REACH_DIAMETERS * self._size_px, REACH_SPACINGS * spacing)
+        reach = max(TUNING.reach_px, TUNING.reach_diameters * self._size_px, TUNING.reach_spacings * spacing)
         last = np.array(image.shape[1::-1]) - 1
         left, top = np.clip(low - reach, 0, last).astype(int)
         right, bottom = np.clip(high + reach, 0, last).astype(int)
@@ -181,36 +222,31 @@ def _ignored(count: int, why: str) -> list[str]:
     return [f"{count} other round {'spot' if count == 1 else 'spots'} {why}: ignored."]
 
 
-def _window(
-    image: GrayImage, centre: tuple[float, float] | FloatArray, reach: float
-) -> tuple[GrayImage, int, int]:
-    """Square part of an image within `reach` of a centre, and the x and y of its first pixel."""
-    x0, y0 = (max(int(c - reach), 0) for c in centre)
-    return image[y0 : int(centre[1] + reach) + 1, x0 : int(centre[0] + reach) + 1], x0, y0
-
-
 def _at_its_sharpest(frames: list[GrayImage], spot: Spot, path_px: FloatArray) -> tuple[int, Spot]:
     """The frame in which a spot of the first frame is blurred least, and the spot as detected there."""
     frame = stillest_frame(path_px)
     centre = path_px[frame]
     if frame == 0:
         return 0, spot
-    half = 2.0 * spot.diameter_px + 8.0
-    part, x0, y0 = _window(frames[frame], centre, half)
-    if min(part.shape) < 16:
+    half = TUNING.part_diameters * spot.diameter_px + TUNING.part_px
+    part, x0, y0 = part_around(frames[frame], centre[0], centre[1], half)
+    if min(part.shape) < TUNING.least_part_px:
         return 0, spot
     near = [
         s
         for s in find_spots(part)
         if s.light == spot.light and np.hypot(s.x_px + x0 - centre[0], s.y_px + y0 - centre[1]) < 0.5 * half
     ]
-    if len(near) != 1 or not 0.6 < near[0].diameter_px / spot.diameter_px < 1.5:
+    if (
+        len(near) != 1
+        or not TUNING.least_change < near[0].diameter_px / spot.diameter_px < TUNING.most_change
+    ):
         return 0, spot
     return frame, replace(near[0], x_px=near[0].x_px + x0, y_px=near[0].y_px + y0)
 
 
 def _detection(name: str, frame: int, spot: Spot, position_mm: float) -> Detection:
-    template = disc_template(0.5 * spot.diameter_px, FIRST_BLUR_PX)
+    template = disc_template(0.5 * spot.diameter_px, templates.TUNING.first_blur_px)
     if not spot.light:
         template = replace(template, coefs=1.0 - template.coefs)
     return Detection(
@@ -243,13 +279,13 @@ class DotKind(MarkerKind):
         inside = learned.support > 0
         values = learned.values()
         gray = values[inside]
-        middle = values[np.hypot(v[:, None], u[None, :]) < 0.25 * detection.size_px]
+        middle = values[np.hypot(v[:, None], u[None, :]) < TUNING.core * detection.size_px]
         centre_level = float(np.median(middle))
         rim_level = float(np.percentile(gray, 90 if centre_level < np.median(gray) else 10))
         span = max(abs(centre_level - rim_level), 1e-9)
 
         # What is no dot may pull the radius to any size: the time of a disc grows with its cube.
-        largest = BEYOND * detection.size_px
+        largest = TUNING.beyond * detection.size_px
 
         # A change of the gray levels alone, as for two of the six derivatives, leaves the disc as it was.
         @lru_cache(maxsize=8)
@@ -259,26 +295,26 @@ class DotKind(MarkerKind):
         def residual(p: FloatArray) -> FloatArray:
             return np.asarray((p[4] + (p[5] - p[4]) * ideal(*p[:4]) - gray) / span)
 
-        start = np.array([0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
-        scales = [1, 1, 1, 1, 50, 50]
-        fit = scipy.optimize.least_squares(
-            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
+        start = np.array(
+            [0, 0, 0.5 * detection.size_px, np.log(templates.TUNING.first_blur_px), rim_level, centre_level]
         )
-        radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
-        if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > radius:
+        scales = [1, 1, 1, 1, 50, 50]
+        found = fitted(residual, start, scales)
+        radius, blur = float(found[2]), float(np.exp(found[3]))
+        if not TUNING.least_radius < radius / detection.size_px < TUNING.largest_radius or blur > radius:
             return None
         template = disc_template(radius, blur)
-        return IdealFit(template, np.eye(2), fit.x[:2], float(fit.x[4]), float(fit.x[5]), 2.0 * radius)
+        return IdealFit(template, np.eye(2), found[:2], float(found[4]), float(found[5]), 2.0 * radius)
 
     def fit_pixels(self, detection: Detection, points_uv: FloatArray, gray: FloatArray) -> IdealFit | None:
         """Ellipse, blur and both gray levels fitted to the pixels of a large dot, whose edge is nearly straight."""
-        every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
+        every = max(1, points_uv.shape[1] // TUNING.points_for_shape)
         points, values = points_uv[:, ::every], gray[::every]
-        inside = np.hypot(*points) < 0.3 * detection.size_px
+        inside = np.hypot(*points) < TUNING.large_core * detection.size_px
         if not inside.any() or inside.all():
             return None
         centre_level = float(np.median(values[inside]))
-        rim_level = float(np.median(values[np.hypot(*points) > 0.55 * detection.size_px]))
+        rim_level = float(np.median(values[np.hypot(*points) > TUNING.large_rim * detection.size_px]))
         span = max(abs(centre_level - rim_level), 1e-9)
 
         def residual(p: FloatArray) -> FloatArray:
@@ -286,17 +322,29 @@ class DotKind(MarkerKind):
             ideal = step_response(p[4] - np.hypot(*at), np.exp(p[5]))
             return np.asarray((p[6] + (p[7] - p[6]) * ideal - values) / span)
 
-        start = np.array([0, 0, 0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
-        scales = [1, 1, 0.1, 0.1, 1, 1, 50, 50]
-        fit = scipy.optimize.least_squares(
-            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
+        start = np.array(
+            [
+                0,
+                0,
+                0,
+                0,
+                0.5 * detection.size_px,
+                np.log(templates.TUNING.first_blur_px),
+                rim_level,
+                centre_level,
+            ]
         )
-        radius, blur = float(fit.x[4]), float(np.exp(fit.x[5]))
-        if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > 0.3 * radius:
+        scales = [1, 1, 0.1, 0.1, 1, 1, 50, 50]
+        found = fitted(residual, start, scales)
+        radius, blur = float(found[4]), float(np.exp(found[5]))
+        if (
+            not TUNING.least_radius < radius / detection.size_px < TUNING.largest_radius
+            or blur > TUNING.largest_blur * radius
+        ):
             return None
-        matrix = np.array([[1.0 + fit.x[2], fit.x[3]], [fit.x[3], 1.0 - fit.x[2]]])
+        matrix = np.array([[1.0 + found[2], found[3]], [found[3], 1.0 - found[2]]])
         template = disc_template(radius, blur)
-        return IdealFit(template, matrix, fit.x[:2], float(fit.x[6]), float(fit.x[7]), 2.0 * radius)
+        return IdealFit(template, matrix, found[:2], float(found[6]), float(found[7]), 2.0 * radius)
 
 
 DOT = DotKind()

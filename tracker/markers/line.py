@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.checks import Failure
+from tracker.markers.kind import (
     Detection,
     DetectionSettings,
     FoundMarkers,
@@ -19,12 +20,26 @@ from tracker.markers.base import (
 )
 
 if TYPE_CHECKING:
-    from tracker.line.model import LineModel
+    from tracker.line import LineModel
 
-# Lines are at least this long.
-LEAST_LENGTH_PX = 30.0
-# Standard deviation of an end along the line: seen in the first frame (10 drawn strips: 0.07 px), or given by hand.
-SEEN_SD_PX, GIVEN_SD_PX = 0.1, 1.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Ends of a line."""
+
+    #: [px] of a line
+    #: physics: six stations of 5 px
+    least_length_px: float = 30.0
+    #: [px] sd along the line of an end that is seen in the first frame
+    #: measurement: 0.07 px of ten drawn strips
+    seen_sd_px: float = 0.1
+    #: [px] the same of one given by hand
+    #: convention: a click
+    given_sd_px: float = 1.0
+
+
+TUNING = Tuning()
+
 EXPOSURE_UNKNOWN = (
     "The line moves by more than a px between frames, and exposure_s is not given: set it, or the sd of fast "
     "motion may be too small and its strip may not be recognised."
@@ -47,10 +62,12 @@ class LineMarkers:
     ) -> JointCalibration | NothingFound:
         """Stations s1, s2, ... from the clamp."""
         # The kernels are slow to load, and most recordings have another kind of marker.
-        from tracker.line.calibrate import calibrate_line  # noqa: PLC0415
-        from tracker.line.compression import line_sd_factor  # noqa: PLC0415
-        from tracker.line.follower import LineFollower  # noqa: PLC0415
-        from tracker.line.model import LineModel  # noqa: PLC0415
+        from tracker.line import (  # noqa: PLC0415
+            LineFollower,
+            LineModel,
+            calibrate_line,
+            line_sd_factor,
+        )
 
         model = calibrate_line(
             images,
@@ -93,7 +110,7 @@ class LineMarkers:
 
 
 def _ends_sd_px(model: LineModel) -> list[float]:
-    return [SEEN_SD_PX if seen else GIVEN_SD_PX for seen in model.ends_seen]
+    return [TUNING.seen_sd_px if seen else TUNING.given_sd_px for seen in model.ends_seen]
 
 
 def _ends_note(model: LineModel) -> str:
@@ -119,7 +136,7 @@ class LineDetector:
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """The line, to be calibrated."""
-        from tracker.line.find import NoMovingLine, find_line  # noqa: PLC0415 - as above
+        from tracker.line import find_line  # noqa: PLC0415 - as above
 
         settings, (height, width) = self._settings, frames[0].shape
         if settings.positions_mm is not None and len(settings.positions_mm) != 2:
@@ -129,7 +146,7 @@ class LineDetector:
             )
         if settings.line_px is None:
             found = find_line(frames)
-            if isinstance(found, NoMovingLine):
+            if isinstance(found, Failure):
                 return NothingFound(
                     f"no line was found by its motion: {found.reason}; set line_px to the clamped end and the free end "
                     "of the beam in the first frame"
@@ -148,10 +165,10 @@ class LineDetector:
                 "the last visible point of the line"
             )
         length = float(np.linalg.norm(ends[1] - ends[0]))
-        if length < LEAST_LENGTH_PX:
+        if length < TUNING.least_length_px:
             return NothingFound(
-                f"line_px is {length:.0f} px long; expected at least {LEAST_LENGTH_PX:.0f} px between the clamped "
-                "end and the free end"
+                f"line_px is {length:.0f} px long; expected at least {TUNING.least_length_px:.0f} px between the "
+                "clamped end and the free end"
             )
         return FoundMarkers((), joint=self._markers(ends))
 
@@ -176,12 +193,19 @@ class LineKind(MarkerKind):
 
     name = "line"
     noun = "station"
+    follows_line = True
     has_nominal_size = False
     has_outline = False
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:  # noqa: ARG002 - the same
         """The line between the given ends, or the one that moves."""
         return LineDetector(self, settings)
+
+    def missing_setting(self, settings: DetectionSettings) -> str | None:
+        """Stations have names of their own."""
+        if settings.names is None:
+            return None
+        return "names are those of separate markers, and the stations of a line are s1, s2, ...: remove names"
 
     def marker_name(self, rank: int) -> str:
         """Stations are named s1, s2, ... from the clamp."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.base import (
+from tracker.markers.kind import (
     Detection,
     DetectionSettings,
     FoundMarkers,
@@ -15,11 +16,26 @@ from tracker.markers.base import (
     MarkerKind,
     NothingFound,
 )
-from tracker.template.spline import from_values
+from tracker.template import from_values
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Windows of patches."""
+
+    #: [px] sd that the stronger gradient of the smallest window gives, with a noise of one gray level in 256
+    #: convention: about that of a code of 24 px
+    wanted_sd_px: float = 0.0025
+    #: [gray levels] of 256, without which there is nothing to track
+    least_texture: float = 4.0
+    #: [1] of that information along the weaker gradient
+    #: convention: a bare edge gets a window that includes its ends
+    weak_share: float = 0.1
+
+
+TUNING = Tuning()
 
 SIZES_PX = (31, 41, 51, 61)
-# The smallest window whose stronger gradient gives this sd, with a noise of one gray level in 256.
-WANTED_SD_PX = 0.0025
 
 
 class PatchDetector:
@@ -56,7 +72,7 @@ class PatchDetector:
         detections, notes = [], []
         for k, (x, y) in enumerate(points):
             size = self._size_px or window_size(image, x, y)
-            if np.ptp(_window(image, x, y, size)) < 4.0 * np.ptp(image) / 256.0:
+            if np.ptp(_window(image, x, y, size)) < TUNING.least_texture * np.ptp(image) / 256.0:
                 return NothingFound(
                     f"there is no texture to track around points_px ({x:g}, {y:g}); choose a point with contrast"
                 )
@@ -75,7 +91,7 @@ class PatchDetector:
 def window_size(image: FloatArray, x_px: float, y_px: float) -> float:
     """Side of the smallest window whose gradients suffice in both directions, else of the largest.
 
-    The larger eigenvalue of the structure tensor must give `WANTED_SD_PX`, the smaller one a tenth of that
+    The larger eigenvalue of the structure tensor must give `TUNING.wanted_sd_px`, the smaller one a tenth of that
     information, so that a bare edge gets a window that includes its ends.
     """
     noise = max(np.ptp(image) / 256.0, 1e-9)
@@ -88,7 +104,7 @@ def window_size(image: FloatArray, x_px: float, y_px: float) -> float:
             [[np.sum(across**2), np.sum(across * down)], [np.sum(across * down), np.sum(down**2)]]
         )
         weak, strong = np.linalg.eigvalsh(tensor / noise**2)
-        if strong > WANTED_SD_PX**-2 and weak > 0.1 * strong:
+        if strong > TUNING.wanted_sd_px**-2 and weak > TUNING.weak_share * strong:
             return float(size)
     return float(SIZES_PX[-1])
 
@@ -128,6 +144,7 @@ class PatchKind(MarkerKind):
     name = "patch"
     auto_rank = 2
     is_sought = False
+    takes_points = True
     # The first template is one noisy image.
     learning_rounds = 4
     has_nominal_size = False

@@ -8,13 +8,38 @@ import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
-from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
+from tracker.markers.assignment import leaving_out
 from tracker.markers.dots import DOT
-from tracker.markers.left_out import leaving_out
+from tracker.markers.kind import (
+    DetectionSettings,
+    FoundMarkers,
+    MarkerDetector,
+    MarkerKind,
+    NothingFound,
+)
 from tracker.markers.line import LINE
 from tracker.markers.patch import PATCH
 
 AUTO = "auto"
+
+
+class UnknownKind(MarkerKind):
+    """A kind of which nothing is known but what all have in common."""
+
+    name = ""
+
+    def detector(self, settings: DetectionSettings, *, auto: bool) -> None:
+        """None: there is nothing to detect it by."""
+
+
+class AutoKind(UnknownKind):
+    """Any of the kinds with an `auto_rank`: what settings with ``kind = "auto"`` say of the markers."""
+
+    name = AUTO
+    takes_points = True
+
+
+AUTO_KIND, UNKNOWN = AutoKind(), UnknownKind()
 MARKER_KINDS: dict[str, MarkerKind] = {kind.name: kind for kind in (ARUCO, DOT, PATCH, LINE)}
 
 
@@ -40,9 +65,14 @@ def marker_kind(name: str) -> MarkerKind:
     return MARKER_KINDS[name]
 
 
+def kind_of(name: str) -> MarkerKind:
+    """The kind of this name in settings or tracks; `UNKNOWN` for that of a plugin that is not loaded."""
+    return AUTO_KIND if name == AUTO else MARKER_KINDS.get(name, UNKNOWN)
+
+
 def noun_of(kind: str) -> str:
-    """What one marker of a kind is called; "marker" where the kind is not known, as in tracks of a plugin."""
-    return MARKER_KINDS[kind].noun if kind in MARKER_KINDS else MarkerKind.noun
+    """What one marker of a kind is called."""
+    return kind_of(kind).noun
 
 
 def detect_markers(
@@ -73,7 +103,7 @@ def detect_markers(
         # Of several kinds, show the candidates of the one with most.
         if found.seen_px is not None and (seen_px is None or len(found.seen_px) > len(seen_px)):
             seen_px = found.seen_px
-    return NothingFound("; ".join(reasons), seen_px, tuple(rejected))
+    return NothingFound("; ".join(reasons), seen_px=seen_px, rejected=tuple(rejected))
 
 
 def _named(
@@ -87,7 +117,7 @@ def _named(
         return NothingFound(
             f"names has {len(names)} entries, but {len(own)} markers were detected ({', '.join(own)}); give one name "
             "for each, in that order",
-            np.array([(one.x_px, one.y_px) for one in found.detections]),
+            seen_px=np.array([(one.x_px, one.y_px) for one in found.detections]),
         )
     pairs = zip(found.detections, names, strict=True)
     return replace(found, detections=tuple(replace(one, name=name) for one, name in pairs))

@@ -1,4 +1,4 @@
-"""Registration of one marker in all calibration frames."""
+"""Registration of one marker in all calibration frames; for a patch, the part that moves as one object."""
 
 from __future__ import annotations
 
@@ -6,21 +6,72 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.geometry import median_over_time
+from tracker.markers import Detection
 from tracker.register import kernel
-from tracker.register.acceptance import LEAST_CORRELATION, acceptable, correlation
-from tracker.register.marker import Camera, MarkerModel, register
-from tracker.register.search import coarse_search
-from tracker.template.blur import BlurBank, seen_from_marker
-from tracker.template.exposure_paths import extrapolated, paths_px, typical_chi2
-from tracker.template.spline import Template
+from tracker.register.kernel import acceptable, correlation
+from tracker.register.marker import Camera, MarkerModel, coarse_search, register
+from tracker.template import (
+    BlurBank,
+    ObjectMotion,
+    Template,
+    extrapolated,
+    learn_template,
+    motion_shares,
+    object_motion,
+    paths_px,
+    scaled_motion,
+    seen_from_marker,
+    typical_chi2,
+)
 
-# A marker may be elsewhere when a fit correlates less than `LEAST_CORRELATION`; below this limit it is not there. The
-# first template of a patch, one image, has as much noise as the frame: chi-square is 2.
-LEAST_WHILE_LEARNING, CHI2_OF_ONE_IMAGE = 0.6, 2.0
-# It is searched for a marker's width farther in each frame since it was found, up to a limit in frames and px.
-MOST_LOST, FARTHEST_PX = 4, 200.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """Following a marker through the calibration frames, and the object in the window of a patch."""
+
+    #: [1] correlation below which a fit during the calibration is not the marker
+    #: convention: where a fit anywhere counted, patches, dots and codes at 25 px a frame were learned from wrong
+    #: places; the number is chosen
+    least_while_learning: float = 0.6
+    #: [1] usual chi-square of a template that is one image
+    #: statistics: it has as much noise as the frame
+    chi2_of_one_image: float = 2.0
+    #: [frames] since a marker was found, over which its search grows
+    #: convention: limits time
+    most_lost: int = 4
+    #: [px] largest search
+    #: convention: limits time
+    farthest_px: float = 200.0
+    #: [px] a marker is sought at least this far in each frame since it was found, a large one by its size
+    reach_px: float = 8.0
+    #: [px] from a start, beside the share of the size below, at which a fit fails
+    shift_px: float = 3.0
+    #: [1] share of the marker's size that is added to it
+    shift_share: float = 0.25
+    #: [px] nearer starts are the same
+    #: convention: Gauss-Newton steps from both lead to the same minimum
+    apart_px: float = 1.0
+    #: [rounds] in which the template of a window and the part of it that is the object are found
+    #: convention: rounds end when they change nothing; effect of the limit not measured
+    rounds: int = 4
+    #: [frames] from which they are found
+    #: convention: limits time
+    frames: int = 32
+    #: [1] the fitted motion is multiplied by the object's share if the sd of that share is below this
+    #: convention: a factor that is less certain would be an error of its own
+    share_sd: float = 0.03
+    #: [sd] a share this close to 1 needs no further round
+    #: statistics: half a standard deviation is not significant
+    settled: float = 0.5
+    #: [1] smaller shares of a window and relative errors are not mentioned
+    #: convention: chosen; a note changes no result
+    worth_a_note: float = 0.05
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -65,7 +116,7 @@ def registered(
                 template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
             else:
                 # Near a quarter of the frame rate or above, a motion does not continue: it may also be where it was.
-                # A marker with look-alikes must not be sought there.
+                # One that others look like must not be sought there.
                 others = [state.copy(), start.copy()] if past and not model.detection.kind.has_outline else []
                 if past:
                     guess[:2], motion = extrapolated(past)
@@ -98,18 +149,20 @@ def _confirmed(
 ) -> FloatArray:
     """Fit of a marker whose position was only guessed, failed where it is not the marker.
 
-    Where it correlates poorly, a marker that has no look-alikes is searched for: within its own width, and farther
+    Where it correlates poorly, a marker that no other looks like is searched for: within its own width, and farther
     when it was not found in the last `lost` frames.
     """
     kind = model.detection.kind
-    if correlation(result) < LEAST_CORRELATION and (kind.decodes_shape or not kind.has_outline):
+    if correlation(result) < ACCEPTANCE.least_correlation and (kind.decodes_shape or not kind.has_outline):
         size_px = model.detection.size_px
-        reach = min(0.5 * size_px + max(8.0, size_px) * min(lost, MOST_LOST), FARTHEST_PX)
+        reach = min(
+            0.5 * size_px + max(TUNING.reach_px, size_px) * min(lost, TUNING.most_lost), TUNING.farthest_px
+        )
         found = coarse_search(frames.images[k], guess[:2], reach, model.template, model.warp, float(guess[3]))
         if found is not None:
             other = _best_fit(frames, k, model, template, [np.append(found, guess[2:])])
             result = max(result, other, key=correlation)
-    if not acceptable(result, float(guess[3]), CHI2_OF_ONE_IMAGE, LEAST_WHILE_LEARNING):
+    if not acceptable(result, float(guess[3]), TUNING.chi2_of_one_image, TUNING.least_while_learning):
         result[kernel.CONVERGED] = 0.0
     return result
 
@@ -126,7 +179,7 @@ def _best_fit(
     best, used = np.full(kernel.RESULT, np.nan), list[FloatArray]()
     best[kernel.CONVERGED] = 0.0
     for start in starts:
-        if any(np.hypot(*(start[:2] - other[:2])) < 1.0 for other in used):
+        if any(np.hypot(*(start[:2] - other[:2])) < TUNING.apart_px for other in used):
             continue
         used.append(start)
         result = register(
@@ -136,7 +189,7 @@ def _best_fit(
             template,
             frames.camera,
             with_angle=model.detection.kind.angle_while_learning,
-            max_shift_px=3.0 + 0.25 * model.detection.size_px,
+            max_shift_px=TUNING.shift_px + TUNING.shift_share * model.detection.size_px,
         )
         if correlation(result) > correlation(best):
             best = result
@@ -157,3 +210,96 @@ def core_of(detection: Detection, template: Template) -> BoolArray:
     u, v = (np.abs(axis) for axis in template.axes_px())
     half = detection.kind.core_half_px(detection.size_px)
     return detection.kind.covers(u[None, :], v[:, None], half, half)
+
+
+def without_background(frames: CalibrationFrames, first: MarkerModel) -> MarkerModel:
+    """The model on the part of its window that moves as one object, with that object's motion.
+
+    Background at rest biases the positions towards rest, and a finely sampled template learned from such positions
+    reproduces the bias. Therefore the windows here have one grid point per px.
+    """
+    current = first
+    for _ in range(TUNING.rounds):
+        found = _object_motion(frames, current, first.template)
+        if found is None:
+            break
+        window, motion, states = found
+        settled = abs(motion.share - 1.0) < TUNING.settled * motion.sd
+        if settled and np.array_equal(motion.support, current.template.support):
+            break
+        template = Template(window.coefs, motion.support, window.oversampling)
+        updated = registered(
+            frames, replace(current, template=template), states[first.detection.frame], states
+        )
+        if updated is None:
+            break
+        current = updated
+    return current
+
+
+def with_motion_sd(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel:
+    """The model with the relative standard deviation of its displacements and the share of its window left out."""
+    window = model.detection.template
+    found = _object_motion(frames, model, window)
+    if found is None:
+        return replace(model, motion_sd=np.inf)
+    motion, left_out = found[1], 1.0 - model.template.area_px / window.area_px
+    # A share that still differs from 1 may be an error of the share or of the motion.
+    return replace(
+        model, motion_sd=float(np.hypot(motion.sd, motion.share - 1.0)), left_out=max(left_out, 0.0)
+    )
+
+
+def _object_motion(
+    frames: CalibrationFrames, model: MarkerModel, window: Template
+) -> tuple[Template, ObjectMotion, FloatArray] | None:
+    """Template of the whole window with one grid point per px, the object in it, and states with its motion."""
+    states, noise = normalised(model.states), frames.camera.noise
+    images, saturation = frames.images, frames.camera.saturation
+    seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+    # Not evenly spaced: at the same phase of each cycle they would show too little of the motion.
+    chosen = (
+        np.random.default_rng(0).permutation(seen)[: TUNING.frames] if seen.size > TUNING.frames else seen
+    )
+    images, used = [images[k] for k in chosen], states[chosen]
+    learned = learn_template(
+        images, used, model.warp, window.support, noise, saturation, oversampling=window.oversampling
+    )
+    if learned is None:
+        return None
+    shares = motion_shares(images, used, model.warp, learned, noise)
+    motion = object_motion(learned.support, learned.oversampling, shares, core_of(model.detection, learned))
+    if motion.sd < TUNING.share_sd:
+        states = scaled_motion(states, motion.share)
+    return learned, motion, states
+
+
+def notes_on_patches(models: tuple[MarkerModel, ...]) -> tuple[str, ...]:
+    """What the user must know about the windows of patches, each a full sentence."""
+    notes = []
+    for model in models:
+        name = model.detection.name
+        if model.detection.kind.has_outline:
+            continue
+        if not np.isfinite(model.motion_sd):
+            notes.append(
+                f"Patch {name} moves too little in the first {len(model.states)} frames to tell it from background at "
+                "rest, which makes displacements too small: choose a window inside the moving object, or begin with "
+                "frames in which it moves."
+            )
+        elif model.left_out > TUNING.worth_a_note or model.motion_sd > TUNING.worth_a_note:
+            notes.append(
+                f"Patch {name}: {100.0 * model.left_out:.0f} % of its window does not move with it and is left out; "
+                f"the size of its motion is known to {100.0 * model.motion_sd:.1f} %, which is part of the sd."
+            )
+    return tuple(notes)
+
+
+def with_motion_errors(positions_px: FloatArray, sd_px: FloatArray, motion_sd: FloatArray) -> FloatArray:
+    """Standard deviations, shape (n, m), that include the errors in the size of the markers' motion.
+
+    `motion_sd`, shape (m,), are those errors relative to the motion, as in `MarkerModel`; infinite ones are left out.
+    """
+    relative = np.where(np.isfinite(motion_sd), motion_sd, 0.0)
+    moved = positions_px - median_over_time(positions_px)
+    return np.asarray(np.hypot(sd_px, relative * moved))

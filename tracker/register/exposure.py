@@ -10,17 +10,39 @@ from tracker.arrays import FloatArray
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
-from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
-from tracker.template.exposure_paths import path_derivatives_px
+from tracker.template import (
+    Blurrer,
+    exposed_path_px,
+    is_blur,
+    path_derivatives_px,
+    path_length_px,
+    seen_from_marker,
+)
 
-# Motion from frame to frame below which the exposure cannot be estimated.
-LEAST_MOTION_PX = 2.0 * SMALLEST_PX
-FRAMES = 6
+
+@dataclass(frozen=True)
+class Tuning:
+    """When the exposure is estimated from motion blur."""
+
+    #: [px] motion from frame to frame below which the exposure cannot be estimated
+    #: physics: twice the shortest blur that a template includes (`tracker.template.blur`): there an exposure of half
+    #: the frame interval just shows
+    least_motion_px: float = 1.0
+    #: [frames] fastest frames of a marker from which it is estimated
+    #: convention: limits time
+    frames: int = 6
+    #: [1] chi-square per degree of freedom above which a template's own errors dominate the estimate
+    largest_chi2: float = 5.0
+    #: [sd] an exposure is accepted when it differs from 0 by this much
+    #: statistics: noise alone does so in one recording of 30 000
+    least_sds: float = 4.0
+    #: [px] distance, beside the longest path, at which a trial fit fails
+    start_px: float = 2.0
+
+
+TUNING = Tuning()
+
 SHARES = np.linspace(0.0, 1.0, 11)
-# Where the template explains the pixels worse than this, its own errors dominate the estimate.
-LARGEST_CHI2 = 5.0
-# An exposure is accepted when it differs from 0 by this many standard deviations.
-LEAST_SDS = 4.0
 
 
 @dataclass(frozen=True)
@@ -32,7 +54,7 @@ class ExposureShare:
 
     def is_significant(self, largest_motion_px: float) -> bool:
         """Whether the exposure is clearly not zero and long enough to blur markers that move this far."""
-        return self.share > LEAST_SDS * self.sd and self.share * largest_motion_px >= SMALLEST_PX
+        return self.share > TUNING.least_sds * self.sd and is_blur(self.share * largest_motion_px)
 
 
 def largest_motion_px(models: tuple[MarkerModel, ...]) -> float:
@@ -66,8 +88,8 @@ def _from_marker(frames: CalibrationFrames, model: MarkerModel) -> tuple[float, 
     motion, bend = path_derivatives_px(model.states)
     speed = np.where(np.all(np.isfinite(model.states), axis=1), np.linalg.norm(motion, axis=1), 0.0)
     speed[[0, -1]] = 0.0  # only one neighbour
-    fastest = np.argsort(speed)[::-1][:FRAMES]
-    fastest = fastest[speed[fastest] >= LEAST_MOTION_PX]
+    fastest = np.argsort(speed)[::-1][: TUNING.frames]
+    fastest = fastest[speed[fastest] >= TUNING.least_motion_px]
     if fastest.size == 0:
         return None
     blurrer = Blurrer(model.template, model.known)
@@ -77,7 +99,7 @@ def _from_marker(frames: CalibrationFrames, model: MarkerModel) -> tuple[float, 
         if np.all(np.isfinite(chi2)):
             total += chi2[:, 0]
             pixels += float(chi2[0, 1])
-    if pixels == 0.0 or total.min() > LARGEST_CHI2 * pixels:
+    if pixels == 0.0 or total.min() > TUNING.largest_chi2 * pixels:
         return None
     best = min(max(int(np.argmin(total)), 1), SHARES.size - 2)
     low, mid, high = total[best - 1 : best + 2]
@@ -109,7 +131,7 @@ def _chi2_over_share(
             blurrer.get(path, support_of=longest),
             frames.camera,
             with_angle=model.with_angle,
-            max_shift_px=2.0 + path_length_px(longest),
+            max_shift_px=TUNING.start_px + path_length_px(longest),
         )
         if result[kernel.CONVERGED] == 0.0:
             return out

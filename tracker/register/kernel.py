@@ -1,13 +1,15 @@
-"""Registration kernel: forward-additive Gauss-Newton fit of a template to the original pixels."""
+"""Registration kernel: forward-additive Gauss-Newton fit of a template to the pixels, and its acceptance."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 from tracker.register.sampling import (
     BAND_PIXELS,
@@ -22,6 +24,67 @@ from tracker.register.sampling import (
     fill_template,
     make_pixel_buffers,
 )
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of a fit, and when it is accepted as the marker."""
+
+    #: [steps] a fit that needs more has failed
+    max_iterations: int = 20
+    #: [px] a step below it is the last
+    #: physics: the error after a last step e is of order e^3 over the blur squared, because the term in e^2 integrates
+    #: to zero over a whole marker: 2e-4 px and less
+    step_tolerance_px: float = 0.05
+    #: [px] the same for steps that are halved
+    #: physics: these shrink by about a half each, so that the error after the last one is as large as that step
+    halved_step_tolerance_px: float = 0.005
+    #: [px] largest effect of a change of the gain on the position after the last step
+    #: physics: a wrong gain scales the step by its relative error; this is a fifth of the sd of a code of 24 px (0.0028
+    #: px)
+    gain_tolerance_px: float = 5e-4
+    #: [steps] from this step on, one against the previous one is halved, with all that follow
+    reversals_from: int = 3
+    #: [px] a marker beyond it is not fitted
+    #: physics: larger than any image that can be read, and small enough for whole numbers of 64 bits
+    farthest_px: float = 1e7
+    #: [px] longest step taken at once
+    #: convention: the gradients of an edge blurred by lens and pixel are not valid farther from it
+    longest_step_px: float = 1.5
+    #: [rad] largest change of the angle in one step
+    largest_turn_rad: float = 0.2
+    #: [px] largest distance from the centre at which a last turn is judged by the tolerance
+    turning_reach_px: float = 30.0
+    #: [pixels] a fit needs this many pixels more than unknowns
+    least_spare_pixels: int = 8
+    #: [1] share of the template's support that must lie in the image
+    least_seen_share: float = 0.45
+    #: [1] smallest gain relative to that of the last good fit
+    #: convention: light and blur change the contrast by less from frame to frame
+    least_gain_ratio: float = 0.3
+    #: [1] largest gain relative to that of the last good fit
+    #: convention: as the smallest one
+    largest_gain_ratio: float = 3.0
+
+
+TUNING = Tuning()
+# Frozen into compiled code.
+MAX_ITERATIONS = TUNING.max_iterations
+STEP_TOLERANCE_PX = TUNING.step_tolerance_px
+HALVED_STEP_TOLERANCE_PX = TUNING.halved_step_tolerance_px
+GAIN_TOLERANCE_PX = TUNING.gain_tolerance_px
+REVERSALS_FROM = TUNING.reversals_from
+FARTHEST_PX = TUNING.farthest_px
+LONGEST_STEP_PX = TUNING.longest_step_px
+LARGEST_TURN_RAD = TUNING.largest_turn_rad
+TURNING_REACH_PX = TUNING.turning_reach_px
+LEAST_SPARE_PIXELS = TUNING.least_spare_pixels
+LEAST_CORRELATION = ACCEPTANCE.least_correlation
+GOOD_CHI2 = ACCEPTANCE.good_chi2
+LEAST_SIGNAL = ACCEPTANCE.least_signal
+LEAST_SEEN_SHARE = TUNING.least_seen_share
+LEAST_GAIN_RATIO = TUNING.least_gain_ratio
+LARGEST_GAIN_RATIO = TUNING.largest_gain_ratio
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
 STATE = 5
@@ -46,18 +109,6 @@ RESULT = 15
     SIGNAL,
     LIGHT,
 ) = range(RESULT)
-
-MAX_ITERATIONS = 20
-# The error after a last step e is of order e^3 over the blur squared, because the term in e^2 integrates to zero over
-# a whole marker: 2e-4 px and less.
-STEP_TOLERANCE_PX = 0.05
-# Steps that are halved shrink by about a half each: the error after the last is as large as that step.
-HALVED_STEP_TOLERANCE_PX = 0.005
-GAIN_TOLERANCE_PX = 5e-4
-# From this iteration on a step against the previous one is halved, with all that follow.
-REVERSALS_FROM = 3
-# Larger than any image: a marker beyond it is not fitted.
-FARTHEST_PX = 1e7
 
 
 class Grid(NamedTuple):
@@ -245,21 +296,20 @@ def _accumulate(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: float) -> bool:
     """Take a share of the step within the validity of the gradients; whether it is short enough to be the last."""
-    # The gradients at the start are not valid beyond about 1.5 px.
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
-    damping = min(share, 1.5 / longest) if longest > 0.0 else share
+    damping = min(share, LONGEST_STEP_PX / longest) if longest > 0.0 else share
     state[0] += damping * rhs[order]
     state[1] += damping * rhs[order + 1]
     state[3] += rhs[order + 2]
     state[4] += rhs[order + 3]
     rotation = 0.0
     if order == STATE:
-        rotation = min(max(rhs[order + 4], -0.2), 0.2)
+        rotation = min(max(rhs[order + 4], -LARGEST_TURN_RAD), LARGEST_TURN_RAD)
         state[2] += rotation
     # A wrong gain scales the step by its relative error.
     stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
     short = longest < (STEP_TOLERANCE_PX if share == 1.0 else HALVED_STEP_TOLERANCE_PX) and stretched
-    return bool(short and abs(rotation) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
+    return bool(short and abs(rotation) * min(reach, TURNING_REACH_PX) < 2.0 * STEP_TOLERANCE_PX)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -336,7 +386,7 @@ def register(
         result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
         result[SATURATED] = sums[CLIPPED]
         result[ITERATIONS] = iteration + 1
-        if sums[USED] < order + 8 or not solve(normal, rhs, order, inverse):
+        if sums[USED] < order + LEAST_SPARE_PIXELS or not solve(normal, rhs, order, inverse):
             return
         # Steps back and forth across the minimum, where large residuals curve chi-square more than the gradients say.
         if iteration >= REVERSALS_FROM and rhs[order] * before_x + rhs[order + 1] * before_y < 0.0:
@@ -349,3 +399,27 @@ def register(
         if converged:
             _conclude(state, sums, normal, inverse, rhs, order, result)
             return
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def correlation(result: FloatArray) -> float:
+    """Correlation of pixels and template after a fit, 0 where it failed."""
+    if result[CONVERGED] == 0.0:
+        return 0.0
+    signal, rest = result[SIGNAL], result[CHI2]
+    return float(np.sqrt(signal / (signal + rest))) if signal + rest > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def acceptable(result: FloatArray, gain: float, typical_chi2: float, least: float) -> bool:
+    """Whether a fit is the marker; `gain` is that of the last good fit or NaN, `least` the smallest correlation."""
+    if result[CONVERGED] == 0.0 or result[SEEN] < LEAST_SEEN_SHARE:
+        return False
+    # A template without contrast explains a uniform surface perfectly: that is no marker.
+    if result[SIGNAL] * result[PIXELS] < LEAST_SIGNAL:
+        return False
+    if np.isfinite(gain) and not LEAST_GAIN_RATIO < result[GAIN] / gain < LARGEST_GAIN_RATIO:
+        return False
+    # With low contrast the correlation is low even for a good fit: then the noise decides.
+    noise_explains = result[CHI2] < GOOD_CHI2 * typical_chi2 and least <= LEAST_CORRELATION
+    return correlation(result) >= least or noise_explains

@@ -1,4 +1,4 @@
-"""A calibrated marker: its template, the validity of that template, and the registration of it to a frame."""
+"""A calibrated marker: template and its validity, registration to a frame, coarse search, fixed point."""
 
 from __future__ import annotations
 
@@ -6,15 +6,33 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.markers import Detection, part_around
 from tracker.register import kernel
 from tracker.register.poor_fit import reconsider
-from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template
+from tracker.template import NoiseModel, Template
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Search for a marker, and when its surroundings are too white to register."""
+
+    #: [1] normalised correlation at the best whole pixel below which nothing was found
+    #: convention: lower than that of an accepted fit, since the marker is up to half a pixel and some blur off
+    least_score: float = 0.6
+    #: [1] share of the pixels at the white level below which edges are seen
+    many_white: float = 0.1
+    #: [1] range of the other gray levels, relative to white, above which an edge is seen
+    #: physics: an edge across a marker of 5 px fills a tenth of its surroundings with the gray levels between dark and
+    #: white
+    one_level: float = 0.05
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -103,3 +121,75 @@ def contrast_state(image: GrayImage, detection: Detection, centre_px: FloatArray
         detection = detection.at(centre_px)
     gain, offset = detection.kind.start_contrast(image, detection)
     return np.array([detection.x_px, detection.y_px, 0.0, gain, offset])
+
+
+def coarse_search(
+    image: GrayImage,
+    centre_px: FloatArray,
+    reach_px: float,
+    template: Template,
+    warp: FloatArray,
+    gain: float,
+) -> FloatArray | None:
+    """Whole-pixel position of the best normalised correlation with a template, or None.
+
+    The marker's centre is sought within `reach_px` of `centre_px` in x and y. Only the sign of `gain` is used: with a
+    negative gain the negative of the template is searched for.
+    """
+    half = int(np.ceil(template.reach_px / np.linalg.svd(warp, compute_uv=False)[-1] / np.sqrt(2.0))) + 1
+    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    pattern, support = template.sampled(np.einsum("ij,jrc->irc", warp, np.stack([u, v])))
+    height, width = image.shape
+    x, y = round(float(centre_px[0])), round(float(centre_px[1]))
+    span = half + int(np.ceil(reach_px))
+    top, left = max(y - span, 0), max(x - span, 0)
+    part = image[top : min(y + span + 1, height), left : min(x + span + 1, width)].astype(np.float32)
+    if part.shape[0] < pattern.shape[0] or part.shape[1] < pattern.shape[1]:
+        return None
+    signed = (np.sign(gain) * pattern).astype(np.float32)
+    score = cv2.matchTemplate(part, signed, cv2.TM_CCOEFF_NORMED, mask=support.astype(np.float32))
+    score[~np.isfinite(score)] = -1.0
+    best = np.unravel_index(int(np.argmax(score)), score.shape)
+    if score[best] < TUNING.least_score:
+        return None
+    return np.array([left + best[1] + half, top + best[0] + half], dtype=np.float64)
+
+
+def without_edges(images: list[GrayImage], detections: tuple[Detection, ...], white_level: float) -> str:
+    """Reason why no marker can be registered where all have white pixels and one dark level only; empty else."""
+    shares = []
+    for found in detections:
+        part, _, _ = part_around(images[found.frame], found.x_px, found.y_px, found.size_px, beyond=2)
+        below = part[part < white_level].astype(float)
+        share = 1.0 - below.size / max(part.size, 1)
+        levels = np.ptp(np.quantile(below, [0.02, 0.98])) if below.size else 0.0
+        if share < TUNING.many_white or levels > TUNING.one_level * white_level:
+            return ""
+        shares.append(share)
+    if not shares:
+        return ""
+    white = f"the white level, {white_level:g}"
+    return (
+        f"markers were detected, but {100.0 * float(np.median(shares)):.0f} % of the pixels around them are at "
+        f"{white}, and the others have one gray level: white pixels may be brighter than the file can state and are "
+        f"not used, so no edge is left to register. Reduce exposure or light until white is below {white_level:g}; in "
+        "a film that is drawn, use a darker white or edges with gray levels between"
+    )
+
+
+def fixed_point_px(model: MarkerModel) -> FloatArray:
+    """Where a marker that grows is registered, as if it grew about this point; x and y from its centre, shape (2,).
+
+    The template keeps its size. Least squares of the change of the image by growth on its changes by all parameters of
+    the registration: a dot has its centre there, a code or a piece of texture the point about which its edges balance.
+    """
+    template = model.template
+    inside = template.support > 0
+    gray, by_u, by_v = (image[inside] for image in (template.values(), *template.slopes()))
+    rows, columns = np.nonzero(inside)
+    u, v = (
+        (at - 0.5 * (size - 1)) for at, size in zip((columns, rows), template.coefs.shape[::-1], strict=True)
+    )
+    others = [gray, np.ones_like(gray), *([u * by_v - v * by_u] if model.with_angle else [])]
+    found = np.linalg.lstsq(np.column_stack([by_u, by_v, *others]), u * by_u + v * by_v, rcond=None)[0]
+    return np.asarray(np.linalg.solve(model.warp, found[:2] / template.oversampling - model.centre_uv))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -23,33 +25,74 @@ from tracker.register.sampling import (
     make_pixel_buffers,
 )
 
-# Chi-square per degree of freedom from which a residual is no noise of the pixels.
-POOR_CHI2 = 3.0
-# Uneven light is taken for the cause where fitting it reduces chi-square to the second share; above the first, what
-# is left is something else, such as compression.
-LEAST_REDUCTION, FULL_REDUCTION = 0.55, 0.47
-# Share that a first step must promise, which later steps reduce further.
-WORTHWHILE = 0.75
-# The share of uneven light in the position follows with this memory, in frames: decisions from frame to frame would be
-# steps of the position. Smaller shares are none.
-MEMORY, LEAST_SHARE = 20.0, 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """When uneven light is fitted with a position, and how far it is believed."""
+
+    #: [1] chi-square per degree of freedom from which a residual is no noise of the pixels
+    #: convention: the number of `good_chi2` in `tracker.acceptance`
+    poor_chi2: float = 3.0
+    #: [1] above this share of chi-square that is left with uneven light, the cause is something else, such as
+    #: compression
+    #: convention: light must explain about half of the residual: where it always counted, it changed the damping of a
+    #: fork by three standard deviations
+    least_reduction: float = 0.55
+    #: [1] down to this share of chi-square, uneven light is taken for the whole cause
+    #: convention: between both shares the weight is linear, since a decision would be a step of the position
+    full_reduction: float = 0.47
+    #: [1] share of chi-square that a first step must promise
+    #: convention: later steps reduce it further; saves time only, effect not measured
+    worthwhile: float = 0.75
+    #: [frames] memory with which the share of uneven light in the position follows
+    #: convention: decisions from frame to frame would be steps of the position; effect of the number not measured
+    memory: float = 20.0
+    #: [1] smaller shares of uneven light are none
+    least_share: float = 0.01
+    #: [px^2] smaller windows do not determine the light beside the position
+    #: convention: between dots and the smallest patch (31 px)
+    least_area_px: float = 600.0
+    #: [1] ratio of the sd along and across an edge from which it is one without texture
+    #: convention: only along such an edge light misleads; across it the position needs no light to be right
+    weak: float = 3.0
+    #: [1] blocks along each side of the window whose residuals are taken for independent
+    #: convention: 36 blocks determine the 9 terms of light and the unknowns of the fit
+    blocks: int = 6
+    #: [steps] a fit with light that needs more has failed
+    max_iterations: int = 15
+    #: [sd] a step below this share of the standard deviation is the last
+    #: statistics: it raises the standard deviation by at most half a percent
+    step_tolerance: float = 0.1
+    #: [px] longest step of the position
+    longest_step_px: float = 1.0
+    #: [rad] largest change of the angle in one step
+    #: convention: as in `tracker.register.kernel`
+    largest_turn_rad: float = 0.2
+
+
+TUNING = Tuning()
+# Frozen into compiled code.
+POOR_CHI2 = TUNING.poor_chi2
+LEAST_REDUCTION = TUNING.least_reduction
+FULL_REDUCTION = TUNING.full_reduction
+WORTHWHILE = TUNING.worthwhile
+MEMORY = TUNING.memory
+LEAST_SHARE = TUNING.least_share
+LEAST_AREA_PX = TUNING.least_area_px
+WEAK = TUNING.weak
+BLOCKS = TUNING.blocks
+MAX_ITERATIONS = TUNING.max_iterations
+STEP_TOLERANCE = TUNING.step_tolerance
+LONGEST_STEP_PX = TUNING.longest_step_px
+LARGEST_TURN_RAD = TUNING.largest_turn_rad
+
 # Variances along the direction in which the position is least determined: by noise alone, and for residuals that are
 # alike within a block, without and with uneven light.
 ALONE, WITHOUT, WITH = 0, 1, 2
-# Smaller windows, such as those of dots, do not determine the light beside the position.
-LEAST_AREA_PX = 600.0
-# An edge without texture determines the position along it this much less than across. Only there light misleads, and
-# only along it the position changes: across the edge it needs no light to be right.
-WEAK = 3.0
 # Light is added as a polynomial of this degree over the window, without its constant: 9 terms.
 DEGREE = 3
 TERMS = (DEGREE + 1) * (DEGREE + 2) // 2 - 1
 MOST = kernel.STATE + TERMS
-# The window is divided into this many blocks along each side.
-BLOCKS = 6
-MAX_ITERATIONS = 15
-# The last step may be this share of the standard deviation for independent residuals.
-STEP_TOLERANCE = 0.1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -187,13 +230,13 @@ def _variance(scores: FloatArray, inverse: FloatArray, size: int, chi2: float, w
 def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, share: float) -> None:
     """Take a share of the step in the position, of 1 px at most, and the whole step in the other unknowns."""
     size = order + TERMS
-    length = min(share, 1.0 / max(abs(rhs[size]), abs(rhs[size + 1])))
+    length = min(share, LONGEST_STEP_PX / max(abs(rhs[size]), abs(rhs[size + 1])))
     state[0] += length * rhs[size]
     state[1] += length * rhs[size + 1]
     state[3] += rhs[size + 2]
     state[4] += rhs[size + 3]
     if order == kernel.STATE:
-        state[2] += min(max(rhs[size + 4], -0.2), 0.2)
+        state[2] += min(max(rhs[size + 4], -LARGEST_TURN_RAD), LARGEST_TURN_RAD)
     for k in range(TERMS):
         light[k] += rhs[size + order + k]
 

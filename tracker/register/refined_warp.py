@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,14 +11,34 @@ from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames, registered
 from tracker.register.marker import MarkerModel, register
 
-# A template absorbs an error of the warp as long as the marker rotates less than this.
-LEAST_ROTATION_RAD = 0.1
-# Rotation during the exposure, which no template includes: with more, the shear would only hide the misfit.
-LARGEST_BLUR_RAD = 0.03
-# Frames that are compared, and Newton steps.
-FRAMES, STEPS = 16, 6
-# Distance over which chi-square is differenced, and the step that ends the search: px at the marker's rim.
-DIFFERENCE_PX, SHORT_PX = 0.1, 0.005
+
+@dataclass(frozen=True)
+class Tuning:
+    """When and how the shape of a rotating marker is fitted."""
+
+    #: [rad] rotation over the calibration frames from which the shape is fitted
+    #: convention: a template absorbs an error of the warp as long as the marker turns less
+    least_rotation_rad: float = 0.1
+    #: [rad] rotation during an exposure up to which the shape is fitted
+    #: convention: no template includes rotation: with more, the shear would only hide the misfit
+    largest_blur_rad: float = 0.03
+    #: [frames] that are compared
+    #: convention: limits time
+    frames: int = 16
+    #: [steps] Newton steps at most
+    #: convention: limits time
+    steps: int = 6
+    #: [px] change at the marker's rim over which chi-square is differenced
+    #: convention: well above the rounding of chi-square and below the blur
+    difference_px: float = 0.1
+    #: [px] change at the marker's rim that ends the search
+    #: convention: far below the tenths of a px by which corners err
+    short_px: float = 0.005
+    #: [px] shift at which a fit with a trial shape fails
+    farthest_px: float = 3.0
+
+
+TUNING = Tuning()
 
 
 def with_refined_warp(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel:
@@ -29,18 +49,18 @@ def with_refined_warp(frames: CalibrationFrames, model: MarkerModel) -> MarkerMo
     Size and rotation belong to the template and to the angle.
     """
     seen = np.flatnonzero(np.all(np.isfinite(model.states), axis=1))
-    if np.ptp(model.states[seen, 2]) < LEAST_ROTATION_RAD:
+    if np.ptp(model.states[seen, 2]) < TUNING.least_rotation_rad:
         return model
     turned = float(np.median(np.abs(np.diff(model.states[seen, 2])))) * frames.exposure_share
-    if turned > LARGEST_BLUR_RAD:
+    if turned > TUNING.largest_blur_rad:
         return model
-    chosen = seen[np.linspace(0, seen.size - 1, min(FRAMES, seen.size)).astype(np.int64)]
+    chosen = seen[np.linspace(0, seen.size - 1, min(TUNING.frames, seen.size)).astype(np.int64)]
     half_px = 0.5 * model.detection.size_px
-    step, shear = DIFFERENCE_PX / half_px, np.zeros(2)
-    for _ in range(STEPS):
+    step, shear = TUNING.difference_px / half_px, np.zeros(2)
+    for _ in range(TUNING.steps):
         change = _newton_step(frames, model, chosen, shear, step)
         shear = shear + change
-        if np.hypot(*change) * half_px < SHORT_PX:
+        if np.hypot(*change) * half_px < TUNING.short_px:
             break
     before, after = (_mean_chi2(frames, model, chosen, at) for at in (np.zeros(2), shear))
     if not after < before:
@@ -82,7 +102,7 @@ def _mean_chi2(frames: CalibrationFrames, model: MarkerModel, chosen: IntArray, 
             model.template,
             frames.camera,
             with_angle=True,
-            max_shift_px=3.0,
+            max_shift_px=TUNING.farthest_px,
         )
         total += float(result[kernel.CHI2]) if result[kernel.CONVERGED] > 0.0 else np.inf
     return total / len(chosen)

@@ -1,1 +1,5 @@
 """The noise-free picture of a marker, its blur, and the noise of the pixels."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,24 +10,44 @@ from scipy import ndimage
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template
-from tracker.template.spline_kernels import modelled_pixels
+from tracker.template.spline import Template, modelled_pixels
 
-# Side of the neighbourhood, px, whose share of the motion is determined; the larger one where that is uncertain.
-SIDES_PX = (3.0, 9.0)
-# A share is used if its sd is below this.
-LARGEST_SD = 0.2
-# Points are left out whose share differs from the object's by this much, relative, and by this many sd.
-DIFFERS, SURELY = 0.15, 3.0
-# Errors of compression are correlated over about this many pixels.
-CORRELATED_PX = 4.0
-# Within this distance of background at rest the lens mixes it into the object; but its edges are kept if less than this
-# share of the information would remain.
-EDGE_PX, LEAST_INFORMATION = 2.0, 0.25
-# Nothing is left out of a window if less than this share of its area would remain.
-LEAST_LEFT = 0.1
-# Efficiency of a median; number of neighbourhoods beyond which errors are common, as those of the sampling of an edge.
-MEDIAN_SD, MOST_INDEPENDENT = 1.25, 16.0
+
+@dataclass(frozen=True)
+class Tuning:
+    """What of a window moves as one object."""
+
+    #: [px] side of the neighbourhood whose share of the motion is determined
+    side_px: float = 3.0
+    #: [px] the same where the share is uncertain
+    #: convention: three times the other
+    wide_side_px: float = 9.0
+    #: [1] a share is used if its sd is below this
+    largest_sd: float = 0.2
+    #: [1] points are left out whose share differs from the object's by this, relative to it
+    differs: float = 0.15
+    #: [sd] and by this many standard deviations
+    #: statistics: noise alone exceeds it at one point of 370
+    surely: float = 3.0
+    #: [px^2] pixels over which errors of compression are correlated
+    correlated_px: float = 4.0
+    #: [px] distance of background at rest within which the lens mixes it into the object
+    #: physics: beyond two px a lens blur of 0.7 px is over
+    edge_px: float = 2.0
+    #: [1] share of the information without which those edges are kept
+    least_information: float = 0.25
+    #: [1] share of a window's area without which nothing is left out
+    least_left: float = 0.1
+    #: [1] neighbourhoods beyond which errors are common, as those of the sampling of an edge
+    most_independent: float = 16.0
+    #: [1] share of the motion that separates object and background at first
+    #: physics: midway between rest and the fitted motion
+    moves: float = 0.5
+
+
+TUNING = Tuning()
+# Standard deviation of a median relative to that of a mean: the root of pi / 2.
+MEDIAN_SD = 1.25
 
 
 @dataclass(frozen=True)
@@ -59,7 +79,7 @@ def motion_shares(
     then is above 1.
     """
     shape, ov = template.coefs.shape, template.oversampling
-    down, across = (_slope(template.coefs, axis) * ov for axis in (0, 1))
+    across, down = (slope * ov for slope in template.slopes())
     seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
     moved, axis = _along_axis(states[seen])
     sums = np.zeros((4, *shape))
@@ -74,22 +94,16 @@ def motion_shares(
         for total, part in zip(sums, parts, strict=True):
             np.add.at(total, at, part)
     share, sd = np.ones(shape), np.full(shape, np.inf)
-    for side in SIDES_PX:
+    for side in (TUNING.side_px, TUNING.wide_side_px):
         size = 2 * int(0.5 * side * ov) + 1
         product, square, rest, count = (ndimage.uniform_filter(s, size, mode="constant") for s in sums)
         with np.errstate(divide="ignore", invalid="ignore"):
             beyond = product / square
             chi2 = np.maximum((rest - beyond * product) / count, 1.0)
-            found_sd = np.sqrt(chi2 * CORRELATED_PX / (square * size**2))
-        better = (sd > LARGEST_SD) & np.isfinite(beyond) & (found_sd < sd)
+            found_sd = np.sqrt(chi2 * TUNING.correlated_px / (square * size**2))
+        better = (sd > TUNING.largest_sd) & np.isfinite(beyond) & (found_sd < sd)
         share[better], sd[better] = 1.0 + beyond[better], found_sd[better]
     return MotionShares(share, sd, sums[1])
-
-
-def _slope(coefs: FloatArray, axis: int) -> FloatArray:
-    """Derivative of a cubic spline at its knots along an axis, per grid step."""
-    along = ndimage.correlate1d(coefs, [-0.5, 0.0, 0.5], axis=axis, mode="nearest")
-    return np.asarray(ndimage.correlate1d(along, [1 / 6, 4 / 6, 1 / 6], axis=1 - axis, mode="nearest"))
 
 
 @dataclass(frozen=True)
@@ -115,20 +129,20 @@ def object_motion(
 ) -> ObjectMotion:
     """Object in a window: what moves as the middle of the window does; the whole window if that is not determined."""
     inside = window > 0
-    known = inside & (shares.sd < LARGEST_SD)
-    middle = known & core & (shares.share > 0.5)
+    known = inside & (shares.sd < TUNING.largest_sd)
+    middle = known & core & (shares.share > TUNING.moves)
     if not np.any(middle):
         return ObjectMotion(window, 1.0, np.inf)
     share = _median(shares, middle)
     off = np.abs(shares.share - share)
-    other = inside & (off > DIFFERS * share) & (off > SURELY * shares.sd)
+    other = inside & (off > TUNING.differs * share) & (off > TUNING.surely * shares.sd)
     kept = inside & ~other
-    resting = other & (shares.share < 0.5 * share)
+    resting = other & (shares.share < TUNING.moves * share)
     if np.any(resting):
-        inner = kept & (ndimage.distance_transform_edt(~resting) > EDGE_PX * oversampling)
-        if shares.information[inner].sum() > LEAST_INFORMATION * shares.information[kept].sum():
+        inner = kept & (ndimage.distance_transform_edt(~resting) > TUNING.edge_px * oversampling)
+        if shares.information[inner].sum() > TUNING.least_information * shares.information[kept].sum():
             kept = inner
-    if np.count_nonzero(kept) < LEAST_LEFT * np.count_nonzero(inside):
+    if np.count_nonzero(kept) < TUNING.least_left * np.count_nonzero(inside):
         return ObjectMotion(window, 1.0, np.inf)
     used = kept & known
     share = _median(shares, used)
@@ -149,8 +163,8 @@ def _median_sd(shares: MotionShares, chosen: BoolArray, share: float, oversampli
     """Standard deviation of that median, from the scatter of neighbourhoods."""
     weights = shares.information[chosen]
     scatter = np.sum(weights * (shares.share[chosen] - share) ** 2) / np.sum(weights)
-    independent = np.sum(weights) ** 2 / np.sum(weights**2) / (SIDES_PX[0] * oversampling) ** 2
-    return float(MEDIAN_SD * np.sqrt(scatter / np.clip(independent, 1.0, MOST_INDEPENDENT)))
+    independent = np.sum(weights) ** 2 / np.sum(weights**2) / (TUNING.side_px * oversampling) ** 2
+    return float(MEDIAN_SD * np.sqrt(scatter / np.clip(independent, 1.0, TUNING.most_independent)))
 
 
 def scaled_motion(states: FloatArray, factor: float) -> FloatArray:

@@ -1,6 +1,8 @@
-"""Motion blur of a template."""
+"""Motion blur of a template, and the path of a marker during each exposure of the calibration frames."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,17 +11,35 @@ from scipy import fft
 from tracker.arrays import ComplexArray, FloatArray
 from tracker.template.spline import Template, crop_to_support, quadrature
 
-# Shorter motion during the exposure changes the image less than the lens does.
-SMALLEST_PX = 0.5
-# Number of Gauss-Legendre nodes along a path: at least, and additional ones per px.
-LEAST_NODES, NODES_A_PX = 6, 2.0
-# Steps of the bank of templates for a first position.
-STEP_PX = 0.5
-DIRECTIONS = 24
-# Longest motion for which surroundings are kept; with a longer one a dot of ten px is a line.
-LONGEST_PX = 40.0
-# Squared contrast below which a detail counts as noise in deconvolution.
-LEAST_TRACE = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """Motion blur: when it is modelled, and how finely."""
+
+    #: [px] shorter motion during the exposure is not modelled
+    #: physics: it changes the image less than the blur of lens and pixel does
+    smallest_px: float = 0.5
+    #: [nodes] of the quadrature along a path, at least
+    least_nodes: int = 6
+    #: [nodes/px] that are added for each px of the path
+    #: convention: closer than the pixels
+    nodes_a_px: float = 2.0
+    #: [px] step of the lengths in the bank of templates for a first position
+    #: convention: as the shortest blur that is modelled; a first position is fitted again along its path
+    step_px: float = 0.5
+    #: [1] directions in that bank
+    #: convention: steps of 7.5 degrees; a first position is fitted again along its path
+    directions: int = 24
+    #: [px] longest motion for which surroundings are kept
+    #: convention: with a longer one a dot of ten px is a line
+    longest_px: float = 40.0
+    #: [1] squared contrast below which a detail counts as noise in deconvolution
+    least_trace: float = 0.01
+    #: [frames] sharp ones from which a template is learned, and others from which its chi-square is judged
+    least_sharp: int = 12
+
+
+TUNING = Tuning()
 
 
 def exposed_path_px(motion_px: FloatArray, bend_px: FloatArray, exposure_share: float) -> FloatArray:
@@ -49,6 +69,11 @@ def path_length_px(path: FloatArray) -> float:
     return float(max(np.hypot(*path[0]), 0.125 * np.hypot(*path[1])))
 
 
+def is_blur(length_px: float) -> bool:
+    """Whether motion of this length during an exposure is modelled; not where it is NaN."""
+    return bool(length_px >= TUNING.smallest_px)
+
+
 def _on_path(path: FloatArray, s: FloatArray) -> FloatArray:
     """Positions on a path, shape (2, n)."""
     return np.asarray(path[0][:, None] * s + 0.5 * path[1][:, None] * (s * s - 1.0 / 12.0))
@@ -56,7 +81,7 @@ def _on_path(path: FloatArray, s: FloatArray) -> FloatArray:
 
 def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> ComplexArray:
     """Transfer function of a path for the real spectrum of an image of this size."""
-    nodes, weights = quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
+    nodes, weights = quadrature(TUNING.least_nodes + int(np.ceil(TUNING.nodes_a_px * path_length_px(path))))
     places = _on_path(path, 0.5 * nodes) * oversampling
     down = np.exp(-2j * np.pi * np.outer(fft.fftfreq(size[0]), places[1]))
     across = np.exp(-2j * np.pi * np.outer(fft.rfftfreq(size[1]), places[0]))
@@ -75,7 +100,7 @@ def unblurred(template: Template, paths_uv: list[FloatArray]) -> Template:
     after = [(margin, m - n - margin) for m, n in zip(size, (rows, cols), strict=True)]
     spectrum = fft.rfft2(np.pad(template.coefs, after, mode="edge"))
     mean = np.mean([_transfer(p, template.oversampling, size) for p in paths_uv], axis=0)
-    inverse = np.conj(mean) * (1.0 + LEAST_TRACE) / (np.abs(mean) ** 2 + LEAST_TRACE)
+    inverse = np.conj(mean) * (1.0 + TUNING.least_trace) / (np.abs(mean) ** 2 + TUNING.least_trace)
     coefs = fft.irfft2(spectrum * inverse, s=size)[margin : margin + rows, margin : margin + cols]
     return Template(np.ascontiguousarray(coefs), template.support, template.oversampling)
 
@@ -111,12 +136,12 @@ class Blurrer:
         Its support is the area that the marker's support passes over, as far as everything that passes there is known.
         """
         length = path_length_px(path_uv)
-        if support_of is None and (length < SMALLEST_PX or not np.isfinite(length)):
+        if support_of is None and (length < TUNING.smallest_px or not np.isfinite(length)):
             return self._still
-        if length > LONGEST_PX:
-            path_uv, length = path_uv * (LONGEST_PX / length), LONGEST_PX
+        if length > TUNING.longest_px:
+            path_uv, length = path_uv * (TUNING.longest_px / length), TUNING.longest_px
         support_path = path_uv if support_of is None else support_of
-        reach = min(path_length_px(support_path), LONGEST_PX)
+        reach = min(path_length_px(support_path), TUNING.longest_px)
         spectrum = self._spectrum_for(max(length, reach) + 1.0)
         own, over = self._own, self._own.oversampling
         rows, cols = own.coefs.shape
@@ -174,17 +199,87 @@ class BlurBank:
     def get(self, motion_uv: FloatArray) -> Template:
         """Template for a straight motion during the exposure, a vector in px of the marker's frame."""
         length = float(np.hypot(motion_uv[0], motion_uv[1]))
-        steps = round(min(length, LONGEST_PX) / STEP_PX) if np.isfinite(length) else 0
-        if length < SMALLEST_PX or steps == 0:
+        steps = round(min(length, TUNING.longest_px) / TUNING.step_px) if np.isfinite(length) else 0
+        if length < TUNING.smallest_px or steps == 0:
             return self._still
         angle = np.arctan2(motion_uv[1], motion_uv[0]) % np.pi
-        key = (steps, round(angle / np.pi * DIRECTIONS) % DIRECTIONS)
+        key = (steps, round(angle / np.pi * TUNING.directions) % TUNING.directions)
         if key not in self._made:
-            direction = np.pi * key[1] / DIRECTIONS
-            vector = steps * STEP_PX * np.array([np.cos(direction), np.sin(direction)])
+            direction = np.pi * key[1] / TUNING.directions
+            vector = steps * TUNING.step_px * np.array([np.cos(direction), np.sin(direction)])
             self._made[key] = self._exact.get(np.stack([vector, np.zeros(2)]))
         return self._made[key]
 
     def exact(self, path_uv: FloatArray) -> Template:
         """Template for a path in px of the marker's frame; see `exposed_path_px`."""
         return self._exact.get(path_uv)
+
+
+def extrapolated(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Next position by the polynomial through up to three positions, and the motion from frame to frame there."""
+    last = past[-1]
+    if len(past) == 1:
+        return last, np.zeros(2)
+    if len(past) == 2:
+        return 2.0 * last - past[0], last - past[0]
+    ahead = 3.0 * last - 3.0 * past[1] + past[0]
+    return ahead, 0.5 * (ahead - past[1]) + (ahead - 2.0 * last + past[1])
+
+
+def _motion(states: FloatArray) -> FloatArray:
+    """Motion from frame to frame at each frame, by differences over four or two; 0 where a neighbour is missing."""
+    motion = np.zeros((len(states), 2))
+    if len(states) > 2:
+        motion[1:-1] = 0.5 * (states[2:, :2] - states[:-2, :2])
+        if len(states) > 4:
+            wider = (4.0 * motion[2:-2] - 0.25 * (states[4:, :2] - states[:-4, :2])) / 3.0
+            motion[2:-2] = np.where(np.isfinite(wider), wider, motion[2:-2])
+        motion[0], motion[-1] = 2.0 * motion[1] - motion[2], 2.0 * motion[-2] - motion[-3]
+    return np.where(np.isfinite(motion), motion, 0.0)
+
+
+def _bend(states: FloatArray) -> FloatArray:
+    """Second difference of the position at each frame; 0 where a neighbour is missing."""
+    bend = np.zeros((len(states), 2))
+    if len(states) > 2:
+        bend[1:-1] = states[2:, :2] - 2.0 * states[1:-1, :2] + states[:-2, :2]
+        bend[0], bend[-1] = bend[1], bend[-2]
+    return np.where(np.isfinite(bend), bend, 0.0)
+
+
+def path_derivatives_px(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where unknown."""
+    return _motion(states), _bend(states)
+
+
+def paths_px(states: FloatArray, exposure_share: float) -> FloatArray:
+    """Path during the exposure of each frame, shape (n, 2, 2); see `tracker.template.blur.exposed_path_px`."""
+    motion, bend = path_derivatives_px(states)
+    return np.array([exposed_path_px(m, b, exposure_share) for m, b in zip(motion, bend, strict=True)])
+
+
+def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
+    """States without those of blurred frames, as long as there are enough sharp ones."""
+    if exposure_share == 0.0:
+        return states
+    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
+    seen = np.all(np.isfinite(states), axis=1)
+    if not seen.any():
+        return states
+    enough = float(np.sort(length[seen])[min(TUNING.least_sharp, int(np.count_nonzero(seen))) - 1])
+    return np.where((length <= max(enough, TUNING.smallest_px))[:, None], states, np.nan)
+
+
+def typical_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
+    """Median of chi-square over frames that did not determine the template.
+
+    A template learned from a dozen sharp frames contains their noise and fits them too well: the next sharpest frames
+    are used where there are as many. Without blur the template is learned from many frames, and all are used.
+    """
+    fitted = np.isfinite(chi2)
+    learned = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1) & fitted
+    others = np.flatnonzero(fitted & ~learned)
+    if others.size < TUNING.least_sharp:
+        return float(np.nanmedian(chi2))
+    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
+    return float(np.median(chi2[others[np.argsort(length[others])[: 2 * TUNING.least_sharp]]]))

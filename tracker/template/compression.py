@@ -2,31 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.template.spline import Template
 
-FRAMES = 24
-# Blocks of common codecs are 8 px wide.
-LARGEST_LAG_PX = 8
-LARGEST_FACTOR = 6.0
-# Neighbours on each side from which a sample is predicted.
-NEIGHBOURS = 8
-# In predictive codecs an error persists for some frames: the predicting neighbours are at least this far away.
-GAP_FRAMES = 8
-# The error of an independently compressed frame depends on the marker's place on the grid of blocks, which changes
-# slowly in slow motion: 3 frames recover what is missing for MJPG of quality scale 5 to a tenth (scale 2: 2 %).
-GAP_FRAMES_INTRA = 3
-FAR_NEIGHBOURS = 6
-# Residuals beyond this many sd are impacts and jumps of the motion, not codec errors.
-CLIP = 5.0
-# A beam that vibrates in one mode and is disturbed by another moves in two shapes, or one with a phase; what
-# fewer markers show beyond that carries little information.
-LEAST_MARKERS = 6
-# Frames of a part of a series, at least.
-PART_FRAMES = 1500
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors of compression: how far they reach in the image and in time."""
+
+    #: [frames] whose residuals are used
+    #: convention: limits time
+    frames: int = 24
+    #: [px] up to which the residuals' correlation is summed
+    #: physics: blocks of common codecs are 8 px wide
+    largest_lag_px: int = 8
+    #: [1] limit of the factor on the sd
+    largest_factor: float = 6.0
+    #: [frames] on each side from which a sample is predicted
+    #: convention: they predict a sum of eight vibrations
+    neighbours: int = 8
+    #: [frames] distance of the predicting neighbours in predictive codecs
+    #: convention: there an error persists for some frames
+    gap_frames: int = 8
+    #: [frames] the same where each frame is compressed alone
+    #: measurement: the error depends on the place on the grid of blocks, which changes slowly in slow motion: 3 frames
+    #: recover what is missing for MJPG of quality scale 5 to a tenth (scale 2: 2 %)
+    gap_frames_intra: int = 3
+    #: [frames] on each side at that distance
+    far_neighbours: int = 6
+    #: [sd] residuals beyond it are impacts and jumps of the motion, not errors of the codec
+    #: statistics: normal errors do so once in two million samples
+    clip: float = 5.0
+    #: [markers] from which the motion that is common to them is left out
+    #: physics: a beam that vibrates in one mode and is disturbed by another moves in two shapes, or one with a phase;
+    #: what fewer markers show beyond that carries little information
+    least_markers: int = 6
+    #: [frames] of a part of a series, at least
+    #: measurement: the length of the films by which the errors of predicted frames were determined
+    #: (docs/studies/films.md)
+    part_frames: int = 1500
+    #: [1] least share of a marker's variance that is not common motion
+    least_kept: float = 0.2
+
+
+TUNING = Tuning()
+
 # Samples at a time.
 _BLOCK = 65_536
 
@@ -34,34 +60,49 @@ _BLOCK = 65_536
 def sd_factors(
     frames: list[GrayImage], states: FloatArray, template: Template, warp: FloatArray
 ) -> tuple[float, float]:
-    """Factors on the sd of x and y due to the spatial correlation of the residuals of one marker.
+    """Factors on the sd of x and y due to the spatial correlation of the residuals of one marker, 1 to 6.
+
+    They do not include errors that persist over frames, such as the lag of slow motion in H.264.
+    """
+    seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+    half = int(np.ceil(template.image_reach_px(warp)))
+
+    def windows() -> Iterator[tuple[FloatArray, ...]]:
+        for k in seen[:: max(1, seen.size // TUNING.frames)]:
+            parts = _residual_and_model(frames[k], states[k], template, warp, half)
+            if parts is not None:
+                residual, image, inside = parts
+                down, across = np.gradient(image)
+                yield (residual - residual[inside].mean()) * inside, across * inside, down * inside
+
+    along_x, along_y = correlation_factors(windows(), 2)
+    return along_x, along_y
+
+
+def correlation_factors(windows: Iterable[tuple[FloatArray, ...]], gradients: int) -> tuple[float, ...]:
+    """Factors on standard deviations that assume independent errors of pixels; 1 where nothing is known.
+
+    Parameters
+    ----------
+    windows : iterable of tuple of array
+        The residual of each window and the `gradients` of its image, one for each factor; 0 where nothing belongs to
+        the marker.
 
     Notes
     -----
-    The information matrix assumes independent pixel errors. With the autocorrelation rho(l) of the residuals and the
-    autocorrelation c(l) of the image gradient, the variance of a position is larger by sum_l rho(l) c(l) / c(0) (the
-    sandwich estimator for stationary errors). Factors are limited to 1...6. They do not include errors that persist
-    over frames, such as the lag of slow motion in H.264.
+    With the autocorrelation rho(l) of the residuals and the autocorrelation c(l) of an image gradient, the variance of
+    a position is larger by sum_l rho(l) c(l) / c(0) (the sandwich estimator for stationary errors).
     """
-    seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
-    if seen.size == 0:
-        return 1.0, 1.0
-    half = int(np.ceil(template.image_reach_px(warp)))
-    totals = np.zeros((3, 2 * LARGEST_LAG_PX + 1, 2 * LARGEST_LAG_PX + 1))
-    for k in seen[:: max(1, seen.size // FRAMES)]:
-        parts = _residual_and_model(frames[k], states[k], template, warp, half)
-        if parts is None:
-            continue
-        residual, image, inside = parts
-        down, across = np.gradient(image)
-        residual = (residual - residual[inside].mean()) * inside
-        totals += np.stack([autocovariance(f) for f in (residual, across * inside, down * inside)])
-    centre = LARGEST_LAG_PX
-    if np.any(totals[:, centre, centre] <= 0.0):
-        return 1.0, 1.0
-    rho, across, down = (total / total[centre, centre] for total in totals)
-    factors = [float(np.sqrt(max(np.sum(rho * slope), 1.0))) for slope in (across, down)]
-    return min(factors[0], LARGEST_FACTOR), min(factors[1], LARGEST_FACTOR)
+    lag = TUNING.largest_lag_px
+    totals = np.zeros((1 + gradients, 2 * lag + 1, 2 * lag + 1))
+    for window in windows:
+        totals += np.stack([_autocovariance(field) for field in window])
+    if np.any(totals[:, lag, lag] <= 0.0):
+        return (1.0,) * gradients
+    rho, *slopes = (total / total[lag, lag] for total in totals)
+    return tuple(
+        min(float(np.sqrt(max(np.sum(rho * slope), 1.0))), TUNING.largest_factor) for slope in slopes
+    )
 
 
 def _residual_and_model(
@@ -84,9 +125,9 @@ def _residual_and_model(
     return part - modelled, modelled, support
 
 
-def autocovariance(field: FloatArray) -> FloatArray:
+def _autocovariance(field: FloatArray) -> FloatArray:
     """Sum of products of a field with itself at all lags up to the largest."""
-    lag = LARGEST_LAG_PX
+    lag = TUNING.largest_lag_px
     padded = np.pad(field, lag)
     spectrum = np.abs(np.fft.rfft2(padded)) ** 2
     full = np.fft.fftshift(np.fft.irfft2(spectrum, s=padded.shape))
@@ -115,9 +156,9 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
     neighbouring markers are not detected.
     """
     n, m = values.shape
-    gap = GAP_FRAMES if predictive else GAP_FRAMES_INTRA
+    gap = TUNING.gap_frames if predictive else TUNING.gap_frames_intra
     both = np.array([np.fmax(_near_sd(series), _far_sd(series, gap)) for series in values.T])
-    if not predictive or m < LEAST_MARKERS or n < 4 * m:
+    if not predictive or m < TUNING.least_markers or n < 4 * m:
         return both
     return np.asarray(np.fmax(both, _common_motion_sd(values)))
 
@@ -127,25 +168,25 @@ def largest_sd(values: FloatArray) -> FloatArray:
 
     At rest, encoders repeat pixels: errors over a record that is mostly at rest are half as large as where it moves.
     """
-    parts = np.array_split(values, max(1, len(values) // PART_FRAMES))
+    parts = np.array_split(values, max(1, len(values) // TUNING.part_frames))
     return np.asarray(np.fmax.reduce([series_sd(part, predictive=True) for part in parts], axis=0))
 
 
 def _near_sd(series: FloatArray) -> float:
     """From the bulk of the residuals of prediction by the nearest neighbours."""
-    residual, inflation = prediction(series, first=1, count=NEIGHBOURS)
+    residual, inflation = prediction(series, first=1, count=TUNING.neighbours)
     residual = residual[np.isfinite(residual)]
     return float(1.4826 * np.median(np.abs(residual)) / inflation) if residual.size else float("nan")
 
 
 def _far_sd(series: FloatArray, gap: int) -> float:
     """From all but extreme residuals: codec errors are not normal, and large after each key frame."""
-    residual, inflation = prediction(series, first=gap, count=FAR_NEIGHBOURS)
+    residual, inflation = prediction(series, first=gap, count=TUNING.far_neighbours)
     residual = residual[np.isfinite(residual)]
     if not residual.size:
         return float("nan")
-    kept = residual[np.abs(residual) <= CLIP * 1.4826 * np.median(np.abs(residual))]
-    dof_ratio = residual.size / (residual.size - FAR_NEIGHBOURS)
+    kept = residual[np.abs(residual) <= TUNING.clip * 1.4826 * np.median(np.abs(residual))]
+    dof_ratio = residual.size / (residual.size - TUNING.far_neighbours)
     return float(np.sqrt(np.mean(kept**2) * dof_ratio) / inflation) if kept.size else float("nan")
 
 
@@ -207,5 +248,5 @@ def _common_motion_sd(values: FloatArray) -> FloatArray:
     rank = max(2, m // 3)
     rest = centred - (left[:, :rank] * singular[:rank]) @ right[:rank]
     # Each marker lost its share of the rank to the common motion.
-    kept = np.maximum(1.0 - np.sum(right[:rank] ** 2, axis=0), 0.2)
+    kept = np.maximum(1.0 - np.sum(right[:rank] ** 2, axis=0), TUNING.least_kept)
     return np.asarray(np.sqrt(np.mean(rest**2, axis=0) / kept))

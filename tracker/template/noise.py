@@ -10,10 +10,44 @@ from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Which pixels tell the noise of the camera."""
+
+    #: [1] intervals of brightness in which the variance is estimated
+    bins: int = 16
+    #: [pixels] without which an interval is not used
+    #: statistics: they determine a standard deviation to 6 %
+    least_in_bin: int = 150
+    #: [frames] pairs of neighbouring frames whose differences are used
+    #: convention: limits time
+    most_pairs: int = 16
+    #: [pixels] of all pairs together, approximately
+    #: convention: limits time
+    most_pixels: int = 400_000
+    #: [1] share of the pixels with the smallest gradients, which are used
+    #: convention: motion adds to the differences where the image has gradients
+    smooth_share: float = 0.7
+    #: [sd] beyond which differences are motion
+    #: statistics: for normal errors one pixel of 370 is lost, and the variance is corrected for it
+    clip: float = 3.0
+    #: [pixels] without which the noise is unknown: one gray level
+    least_pixels: int = 64
+    #: [1] variances above this multiple of the line are excluded
+    #: convention: there, motion or a wrong model has added to the noise
+    outlier: float = 1.4
+    #: [gray levels^2] with which clipping begins, at least
+    #: convention: differences of rounded pixels can all be 0
+    least_variance: float = 0.25
+
+
+TUNING = Tuning()
+
+# Variance of a normal distribution cut off at three standard deviations.
+CLIPPED_SHARE = 0.9733
 # Variance of rounding to whole gray levels.
 ROUNDING_VARIANCE = 1.0 / 12.0
-BINS = 16
-LEAST_IN_BIN = 150
 
 
 @dataclass(frozen=True)
@@ -38,8 +72,8 @@ def estimate_noise(frames: list[GrayImage], *, white_level: float) -> NoiseModel
     """
     if len(frames) < 2:
         return _from_one(frames[0].astype(np.float64), white_level)
-    pairs = list(zip(frames[:-1:2], frames[1::2], strict=False))[:16]
-    stride = max(1, int(np.sqrt(frames[0].size * len(pairs) / 400_000)))
+    pairs = list(zip(frames[:-1:2], frames[1::2], strict=False))[: TUNING.most_pairs]
+    stride = max(1, int(np.sqrt(frames[0].size * len(pairs) / TUNING.most_pixels)))
     levels, squares = [], []
     for before, after in pairs:
         one, two = before.astype(np.float64), after.astype(np.float64)
@@ -48,7 +82,9 @@ def estimate_noise(frames: list[GrayImage], *, white_level: float) -> NoiseModel
         slope = np.hypot(down, across)
         keep = np.zeros(mean.shape, dtype=bool)
         keep[::stride, ::stride] = True
-        keep &= (np.maximum(one, two) < white_level) & (slope <= np.quantile(slope[keep], 0.7))
+        keep &= (np.maximum(one, two) < white_level) & (
+            slope <= np.quantile(slope[keep], TUNING.smooth_share)
+        )
         levels.append(mean[keep])
         squares.append(two[keep] - one[keep])
     return _fit(np.concatenate(levels), np.concatenate(squares) / np.sqrt(2.0))
@@ -67,12 +103,12 @@ def _from_one(image: FloatArray, white_level: float) -> NoiseModel:
 
 def _clipped_variance(values: FloatArray) -> float:
     """Variance about zero of the bulk of `values`, clipped at 3 sd and corrected for it."""
-    variance = max(float(np.median(np.abs(values)) * 1.4826) ** 2, 0.25)
+    variance = max(float(np.median(np.abs(values)) * 1.4826) ** 2, TUNING.least_variance)
     for _ in range(8):
-        inside = values[np.abs(values) < 3.0 * np.sqrt(variance)]
+        inside = values[np.abs(values) < TUNING.clip * np.sqrt(variance)]
         if inside.size < 16:
             break
-        updated = max(float(np.mean(inside**2)) / 0.9733, 1e-6)
+        updated = max(float(np.mean(inside**2)) / CLIPPED_SHARE, 1e-6)
         if abs(updated - variance) < 1e-3 * variance:
             return updated
         variance = updated
@@ -81,11 +117,13 @@ def _clipped_variance(values: FloatArray) -> float:
 
 def _fit(level: FloatArray, deviation: FloatArray) -> NoiseModel:
     """Noise model from the variances of bins of intensity."""
-    if level.size < 64:
+    if level.size < TUNING.least_pixels:
         return NoiseModel(1.0, 0.0)
     # Bins of equal width: with bins of equal count the background would fill all of them.
-    index = np.minimum((level - level.min()) / max(np.ptp(level), 1e-9) * BINS, BINS - 1).astype(np.int64)
-    kept = [k for k in range(BINS) if np.count_nonzero(index == k) >= LEAST_IN_BIN]
+    index = np.minimum(
+        (level - level.min()) / max(np.ptp(level), 1e-9) * TUNING.bins, TUNING.bins - 1
+    ).astype(np.int64)
+    kept = [k for k in range(TUNING.bins) if np.count_nonzero(index == k) >= TUNING.least_in_bin]
     if not kept:
         return NoiseModel(max(_clipped_variance(deviation), ROUNDING_VARIANCE), 0.0)
     return fit_line(
@@ -104,7 +142,7 @@ def fit_line(level: FloatArray, variance: FloatArray, count: FloatArray | NDArra
     weight = np.sqrt(count) / y
     a, b = _line(x, y, weight)
     for _ in range(3):
-        weight = np.where(y > 1.4 * (a + b * x), 0.0, weight)
+        weight = np.where(y > TUNING.outlier * (a + b * x), 0.0, weight)
         if np.count_nonzero(weight) == 0:
             break
         a, b = _line(x, y, weight)

@@ -1,1 +1,5 @@
-"""Readers of recordings: one module each, behind the protocol of `tracker.video.base`."""
+"""Readers of recordings: one module each, behind the protocol of `tracker.video.source`."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

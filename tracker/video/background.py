@@ -4,33 +4,55 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, GrayImage
-from tracker.video.base import Frame
+from tracker.video.source import Frame
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Blocks that depart for a single picture."""
+
+    #: [1] one row in this many is used for the means
+    #: convention: enough for a mean over a block
+    row_step: int = 4
+    #: [1] multiple of its largest recent step by which the mean of a block departs
+    factor: float = 4.0
+    #: [1] and share of white
+    #: convention: coarse quantisation changes it by a few gray levels where nothing happens
+    least: float = 0.02
+    #: [1] of the largest recent step, per frame
+    #: convention: a block that a vibration crosses is not static: a step is forgotten over hundreds of frames
+    memory: float = 0.995
+    #: [frames] from which the usual steps are known
+    #: convention: all but the two largest, which a damaged one causes
+    first: int = 9
+    #: [blocks] that must depart
+    least_blocks: int = 8
+    #: [1] of the image above which it is the light
+    most_blocks: float = 0.9
+    #: [1] of these blocks that must return
+    returned: float = 0.8
+    #: [1] of the mean change, by which the outermost pixels of blocks change more
+    #: convention: no object ends at the edges of coded blocks
+    within: float = 0.5
+    #: [1] of theirs, by which the pixels beyond change less
+    #: convention: as above
+    beyond: float = 0.25
+    #: [frames] without image at the start after which nothing is learned any more
+    most_waiting: int = 64
+
+
+TUNING = Tuning()
 
 # Side of a coded block of JPEG and its kin, in px.
 BLOCK_PX = 8
-# One row in this many is used for the means.
-ROW_STEP = 4
-# The mean of a block departs by more than this multiple of its largest recent step, and by this share of white:
-# coarse quantisation changes it by a few gray levels where nothing happens.
-FACTOR, LEAST = 4.0, 0.02
-# A step is forgotten over hundreds of frames: a block that a vibration crosses is not static.
-MEMORY = 0.995
-# First images, from which the usual steps are known: all but the two largest, which a damaged one causes.
-FIRST = 9
-# Blocks that must depart, and the share of the image above which it is the light; share of them that must return.
-LEAST_BLOCKS, MOST_BLOCKS, RETURNED = 8, 0.9, 0.8
-# A change ends at the edges of coded blocks if the outermost pixels change by more than this share of the mean change,
-# and the pixels beyond by less than this share of theirs.
-WITHIN, BEYOND = 0.5, 0.25
 
-# Frames without image at the start after which nothing is learned any more.
-MOST_WAITING = 64
 
 Means = NDArray[np.float32]
 
@@ -43,7 +65,9 @@ def without_departures(frames: Iterator[Frame], white_level: int) -> Iterator[Fr
     and the last frame, to two frames in succession, and to moving blocks alone.
     """
     head = _head(frames)
-    background = _Background(LEAST * white_level, [frame.image for frame in head if frame.image is not None])
+    background = _Background(
+        TUNING.least * white_level, [frame.image for frame in head if frame.image is not None]
+    )
     # The last image, to be judged by the next one, and frames without image after it.
     waiting: list[Frame] = []
     for frame in itertools.chain(head, frames):
@@ -64,7 +88,7 @@ def _head(frames: Iterator[Frame]) -> list[Frame]:
     head: list[Frame] = []
     for frame in frames:
         head.append(frame)
-        if sum(f.image is not None for f in head) == FIRST or len(head) == MOST_WAITING:
+        if sum(f.image is not None for f in head) == TUNING.first or len(head) == TUNING.most_waiting:
             break
     return head
 
@@ -76,7 +100,7 @@ class _Background:
         self._least = least
         # With fewer images the usual steps are unknown, and nothing departs.
         self._largest: Means | None = None
-        if len(first) == FIRST:
+        if len(first) == TUNING.first:
             means = np.stack([block_means(image) for image in first])
             self._largest = np.sort(np.abs(np.diff(means, axis=0)), axis=0)[-3]
         self._quiet = True
@@ -90,28 +114,28 @@ class _Background:
         if good is None or last is None or self._largest is None:
             self._good = last
             return False
-        limit = np.maximum(FACTOR * self._largest, self._least)
+        limit = np.maximum(TUNING.factor * self._largest, self._least)
         step = np.abs(last[1] - good[1])
         departed = step > limit
         count = np.count_nonzero(departed)
         returned = np.count_nonzero(np.abs(after[1] - good[1])[departed] < limit[departed])
         if (
             self._quiet
-            and LEAST_BLOCKS <= count < MOST_BLOCKS * departed.size
-            and returned > RETURNED * count
+            and TUNING.least_blocks <= count < TUNING.most_blocks * departed.size
+            and returned > TUNING.returned * count
             and ends_at_blocks(departed, good[0], last[0])
         ):
             return True
         self._quiet = count == 0
         self._good = last
-        self._largest = np.maximum(step, MEMORY * self._largest)
+        self._largest = np.maximum(step, TUNING.memory * self._largest)
         return False
 
 
 def block_means(image: GrayImage) -> Means:
     """Means of all complete blocks of an image, each over some of its rows."""
     rows, cols = (max(size // BLOCK_PX, 1) for size in image.shape)
-    part = image[: rows * BLOCK_PX : ROW_STEP, : cols * BLOCK_PX]
+    part = image[: rows * BLOCK_PX : TUNING.row_step, : cols * BLOCK_PX]
     return np.asarray(cv2.resize(part, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
@@ -134,4 +158,4 @@ def ends_at_blocks(departed: BoolArray, before: GrayImage, image: GrayImage) -> 
     noise = float(np.median(change[::2, ::2]))
     within, beyond = np.median(np.concatenate(sides, axis=1), axis=1) - noise
     mean = float(np.mean(blocks.mean(axis=(1, 3))[departed])) - noise
-    return bool(within > WITHIN * mean and beyond < BEYOND * within)
+    return bool(within > TUNING.within * mean and beyond < TUNING.beyond * within)

@@ -10,7 +10,7 @@ from typing import Any
 import av
 import av.error
 
-from tracker.video.base import SourceInfo
+from tracker.video.source import SourceInfo
 
 # Name of FFmpeg's demultiplexer of the files that have edit lists.
 MP4_FORMAT = "mov,mp4,m4a,3gp,3g2,mj2"

@@ -1,11 +1,17 @@
-"""Recordings in containers (mp4, mov, avi, mkv, gif, cine ...), decoded by PyAV packet by packet."""
+"""Recordings in containers (mp4, mov, avi, mkv, gif, cine ...), decoded by PyAV packet by packet.
+
+FFV1 check sums are verified here: the decoder replaces a damaged slice by that of the image before, and says so in its
+log only. A recording whose images end before the length that its container states was cut.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,7 +20,9 @@ import av
 import av.error
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.edit_list import EditList
+from tracker.video.source import (
     DECODER_OPTIONS,
     Frame,
     FrameSource,
@@ -22,22 +30,104 @@ from tracker.video.base import (
     SourceInfo,
     check_image_size,
     check_regular_file,
+    gray_depth,
+    gray_image,
     read_head,
     unreadable,
 )
-from tracker.video.edit_list import EditList
-from tracker.video.ffv1 import has_check_sums, slices_are_intact
-from tracker.video.gray import gray_depth, gray_image
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
-from tracker.video.stated_length import StatedLength
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Damage of containers and check sums."""
+
+    #: [1] of a coded image
+    #: convention: bounds the time that a damaged packet takes
+    most_slices: int = 1024
+    #: [1] between images that may be missing at the end
+    #: convention: the length of the last one is not always counted
+    most_steps: float = 1.5
+    #: [packets] that show whether a stream has check sums
+    #: convention: the first may be damaged
+    probed_packets: int = 4
+
+
+TUNING = Tuning()
+
+# The check sum's polynomial is that of zlib, with the opposite order of the bits in a byte.
+_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_ALL_ONES = 0xFFFFFFFF
+# Size of the slice before it (3 bytes), error status (1), check sum (4).
+_FOOTER, _SIZE = 8, 3
+
+
+def slices_are_intact(packet: bytes) -> bool:
+    """Whether the packet consists of slices whose check sums agree (FFV1 versions 3 and 4 with ``ec``; RFC 9043, 4.9).
+
+    False as well for a packet without check sums: see `has_check_sums`.
+    """
+    end = len(packet)
+    for _ in range(TUNING.most_slices):
+        start = end - _FOOTER - int.from_bytes(packet[end - _FOOTER : end - _FOOTER + _SIZE], "big")
+        if end < _FOOTER or start < 0:
+            return False
+        if zlib.crc32(packet[start:end].translate(_REVERSED), _ALL_ONES) != _ALL_ONES:
+            return False
+        if start == 0:
+            return True
+        end = start
+    return False
+
+
+def has_check_sums(packets: Iterable[bytes]) -> bool:
+    """Whether a stream has check sums, from some of its packets: by chance they agree in one packet of 4e9."""
+    return any(slices_are_intact(packet) for packet in packets)
+
+
+# Containers whose header states a length and no number of images. For most others FFmpeg takes the length from the
+# images themselves, so that it tells nothing.
+_STATING = "matroska,webm"
+
+
+class StatedLength:
+    """Compares the length in a container's header with the time of the last image.
+
+    Not where the file has other streams: sound may last longer than the images.
+    """
+
+    def __init__(self, container: Any, stream: Any) -> None:
+        compared = container.format.name == _STATING and len(container.streams) == 1
+        self._stated_s = (container.duration or 0) / av.time_base if compared else 0.0
+        self._tick_s = float(stream.time_base or 0)
+        self._count, self._first_s, self._last_s = 0, float("inf"), 0.0
+
+    def see(self, packet: Any) -> None:
+        """Register a coded image."""
+        if packet.size and packet.pts is not None:
+            time_s = self._tick_s * packet.pts
+            self._count += 1
+            self._first_s, self._last_s = min(self._first_s, time_s), max(self._last_s, time_s)
+
+    def described(self, info: SourceInfo) -> SourceInfo:
+        """Properties of a recording of which all packets were seen, with a note where its images end early."""
+        if self._count < 2:
+            return info
+        step_s = (self._last_s - self._first_s) / (self._count - 1)
+        missing_s = self._stated_s - (self._last_s + step_s)
+        if missing_s <= TUNING.most_steps * step_s:
+            return info
+        note = (
+            f"The file states a length of {self._stated_s:.4g} s, but its images end {missing_s:.3g} s before: it is "
+            "incomplete; copy it again."
+        )
+        return replace(info, notes=(*info.notes, note))
+
 
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,"
     "h264,hevc"
 )
 CONTAINER_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
-# Packets of FFV1 that show whether the stream has check sums; the first may be damaged.
-_PROBED_PACKETS = 4
 # Streams without a container, as written by small cameras: no time stamps, and a rate invented by FFmpeg.
 BARE_STREAMS = frozenset({"h264", "hevc"})
 # In practice intra-only, although FFmpeg does not declare them so because exceptions are possible.
@@ -45,7 +135,7 @@ INTRA_BY_HABIT = frozenset({"ffv1", "png", "apng", "gif", "huffyuv", "ffvhuff", 
 
 
 class VideoSource:
-    """A video file as a `tracker.video.base.FrameSource`.
+    """A video file as a `tracker.video.source.FrameSource`.
 
     Packets are decoded one by one, so that a damaged one yields a frame without image in its place and no later frame
     shifts. With predictive codecs, the frames after a damaged one have no image until the next key frame.
@@ -257,7 +347,7 @@ def _first_packets(path: Path) -> Iterator[bytes]:
         stream, _ = _first_video_stream(container, path)
         with contextlib.suppress(av.error.FFmpegError):
             yield from (
-                bytes(p) for p in itertools.islice(container.demux(stream), _PROBED_PACKETS) if p.size
+                bytes(p) for p in itertools.islice(container.demux(stream), TUNING.probed_packets) if p.size
             )
 
 

@@ -7,6 +7,7 @@ camera setup, tagged blocks, a table of offsets, then each image after a short a
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,18 +16,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.source import TUNING as LIMITS
+from tracker.video.source import (
     Frame,
     FrameSource,
     Reader,
     SourceInfo,
     check_image_size,
     check_regular_file,
+    packed_bytes,
+    unpacked,
     unreadable,
 )
-from tracker.video.gray import packed_bytes, unpacked
 
-MAX_FRAMES = 10_000_000
+
+@dataclass(frozen=True)
+class Tuning:
+    """Limits of a Phantom recording."""
+
+    #: [bytes] before an image
+    #: convention: chosen; effect on damaged files only
+    max_annotation: int = 1_048_576
+
+
+TUNING = Tuning()
+
 # "CI", and the length of the header in every version of the format.
 CINE_HEAD = b"CI\x2c\x00"
 # Fields of the headers that are read, and their offsets.
@@ -56,7 +70,6 @@ TAG_TIMES = 1002
 # Times are in units of 2^-32 s; the two lowest bits are states of the camera's inputs, not time.
 TIME_BASE = Fraction(1, 1 << 32)
 SIGNAL_BITS = 3
-MAX_ANNOTATION = 1 << 20
 # Bits of a pixel in each way of packing; None: whole bytes or words.
 PACKED_BITS = {0: None, 0x100: 10, 0x400: 12}
 
@@ -88,7 +101,7 @@ def is_monochrome(path: Path) -> bool:
 
 
 class PhantomSource:
-    """A monochrome `.cine` as a `tracker.video.base.FrameSource`.
+    """A monochrome `.cine` as a `tracker.video.source.FrameSource`.
 
     Supported are pixels of 8 bit, of 9 to 16 bit in words, and packed to 10 or 12 bit. Packed 10-bit values are
     companded by the camera; they are linearised, because noise and blur act on the light. Time stamps are the camera's
@@ -134,7 +147,7 @@ class PhantomSource:
         # Pixels are unpacked in groups of four or two.
         if packed and (self._image_bytes < 0 or width * height % 4):
             raise unreadable(path, f"packed images of {width} x {height} px do not end with a byte")
-        offsets = self._offsets(at_offsets, min(declared, MAX_FRAMES))
+        offsets = self._offsets(at_offsets, min(declared, LIMITS.max_frames))
         times, notes = _frame_times(self._file, at_setup + length, at_offsets, offsets.size)
         # Images are stored one after another: none can follow beyond the end of the file.
         inside = np.flatnonzero(offsets + self._image_bytes + 8 <= self._size)
@@ -149,7 +162,7 @@ class PhantomSource:
             height_px=height,
             bit_depth=depth,
             white_level=(1 << depth) - 1 if self._linear is None else 4095 * _SCALE,
-            frames_declared=min(declared, MAX_FRAMES),
+            frames_declared=min(declared, LIMITS.max_frames),
             time_base=Fraction(1, rate) if times is None else TIME_BASE,
             header_rate=Fraction(rate),
             notes=notes,
@@ -186,7 +199,7 @@ class PhantomSource:
             self._file.seek(offset)
             head = self._file.read(4)
             length = int.from_bytes(head, "little")
-            if len(head) < 4 or not 8 <= length <= MAX_ANNOTATION:
+            if len(head) < 4 or not 8 <= length <= TUNING.max_annotation:
                 return None
             self._file.seek(offset + length - 4)
             stated = int.from_bytes(self._file.read(4), "little")

@@ -8,26 +8,32 @@ from pathlib import Path
 import numpy as np
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.camera_header import (
+    HEADER_SUFFIXES,
+    PhotronHeader,
+    companion,
+    read_photron_header,
+    with_companion,
+)
+from tracker.video.source import (
     Frame,
     FrameSource,
     Reader,
     SourceInfo,
     check_image_size,
     check_regular_file,
+    packed_bytes,
     shown,
+    unpacked,
     unreadable,
 )
-from tracker.video.gray import packed_bytes, unpacked
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, companion, with_companion
-from tracker.video.headers.photron_header import PhotronHeader, read_photron_header
 
 PIXEL_SUFFIX = ".mraw"
 DEPTHS = (8, 10, 12, 16)
 
 
 class PhotronSource:
-    """A Photron recording as a `tracker.video.base.FrameSource`.
+    """A Photron recording as a `tracker.video.source.FrameSource`.
 
     Supported are pixels of 8 bit, of 10 and 12 bit packed with the most significant bit first, and of 16 bit
     (little-endian words with the significant bits at their lower or upper end, as the header states). The pixels are

@@ -12,7 +12,9 @@ import numpy as np
 import tifffile
 
 from tracker.arrays import GrayImage
-from tracker.video.base import (
+from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.source import TUNING as LIMITS
+from tracker.video.source import (
     Frame,
     FrameSource,
     Reader,
@@ -20,14 +22,12 @@ from tracker.video.base import (
     UnreadableVideoError,
     check_image_size,
     check_regular_file,
+    luma_16,
     read_head,
     unreadable,
 )
-from tracker.video.gray import luma_16
-from tracker.video.headers.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 
 TIFF_SUFFIXES = (".tif", ".tiff")
-MAX_PAGES = 10_000_000
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 # Raised by tifffile and its decoders on damaged files and unsupported compressions.
 DAMAGE = (
@@ -61,7 +61,7 @@ def is_stack(path: Path) -> bool:
 
 
 class TiffSource:
-    """A TIFF as a `tracker.video.base.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
+    """A TIFF as a `tracker.video.source.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
 
     Pages are read one by one. ImageJ files that announce more images than they have pages store the others directly
     after the first. A damaged page is a frame without image.
@@ -163,7 +163,7 @@ class TiffSource:
     def _pages(self) -> Iterator[Any]:
         """Pages one by one, without thumbnails; the chain ends where it is damaged."""
         visited: set[int] = set()
-        for k in range(MAX_PAGES):
+        for k in range(LIMITS.max_frames):
             try:
                 page: Any = self._file.pages[k]
                 small = bool(page.is_reduced)
@@ -225,7 +225,7 @@ def _images_without_pages(file: tifffile.TiffFile) -> int:
     announced = int((metadata or {}).get("images", 0))
     if announced < 2 or file.pages.is_multipage or int(file.pages.first.compression) != 1:
         return 0
-    return min(announced, MAX_PAGES)
+    return min(announced, LIMITS.max_frames)
 
 
 class TiffReader(Reader):

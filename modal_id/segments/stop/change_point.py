@@ -7,29 +7,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import PoleFit, fit_poles
-from modal_id.solve.waves import real_columns
-from modal_id.solve.weighting import LongArray
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from modal_id.data import FitData
+from modal_id.solve import LongArray, PoleFit, Problem, fit_poles, real_columns
+from tracker import BoolArray, ComplexArray, FloatArray
 
-# The search needs few samples per cycle; its result is refined on all of them.
-_SEARCH_SAMPLES = 3000
-_MIN_CYCLES = 1.0
-# Required after the change: an apparent change in the last few cycles is a jolt or a frozen frame.
-_MIN_FREE_CYCLES = 5.0
-_MAX_CHANNELS = 4
-_LEAST_SAMPLES = 8
-# In the latter half of a driven motion, when the transient of its start is over, the amplitude decays at most at this
-# fraction of the rate of the free decay; a free motion whose damping depends on the amplitude decays faster.
-_DRIVEN_DECAY = 0.1
-_RATE_SD = 3.0
-_LEAST_DRIVEN_CYCLES = 2.0
-# With fewer driven cycles than this, their decay rate must be known to this share of the rate of the free decay.
-_FEW_DRIVEN_CYCLES, _FEW_DRIVEN_SD = 3.0, 0.5
-# The drive is near the dominant frequency: largest logarithm of their ratio, a factor of 1.5.
-_DRIVE_NEAR = 0.4
+
+@dataclass(frozen=True)
+class Tuning:
+    """The end of driving."""
+
+    #: [samples] samples of the search
+    #: convention: Its result is refined on all.
+    search_samples: int = 3000
+    #: [cycles] least driving before a change
+    #: convention: Chosen; effect not measured.
+    min_cycles: float = 1.0
+    #: [cycles] least decay after it
+    #: physics: A change in the last few cycles is a jolt or a frozen frame.
+    min_free_cycles: float = 5.0
+    #: [1] channels of the search
+    #: convention: For time.
+    max_channels: int = 4
+    #: [samples] fewest samples of a side
+    #: convention: Chosen; effect not measured.
+    least_samples: int = 8
+    #: [1] rate of the driven amplitude's fall, over that of the free decay, at most
+    #: convention: Free motion whose damping depends on the amplitude decays faster.
+    driven_decay: float = 0.1
+    #: [sd] the same in standard deviations
+    #: statistics: 0.3 % of steady drives exceed it.
+    rate_sd: float = 3.0
+    #: [cycles] least driven motion
+    #: convention: Chosen; effect not measured.
+    least_driven_cycles: float = 2.0
+    #: [cycles] driven cycles below which their rate must be known well
+    #: convention: Chosen; effect not measured.
+    few_driven_cycles: float = 3.0
+    #: [1] sd of that rate over the rate of the free decay, at most
+    #: convention: Chosen; effect not measured.
+    few_driven_sd: float = 0.5
+    #: [1] logarithm of the drive's frequency over the dominant one, at most
+    #: convention: A factor of 1.5.
+    drive_near: float = 0.4
+
+
+TUNING = Tuning()
+
 # Samples at a time.
 _BLOCK = 8192
 
@@ -67,7 +90,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
     cycles = thin.span_s * frequency_hz
-    if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
+    if cycles < 2.0 * TUNING.min_cycles + TUNING.min_free_cycles:
         return None
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
     times = _grid(thin.span_s, frequency_hz)
@@ -85,7 +108,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
             break
         best = replace(again, misfit=min(best.misfit, again.misfit))
     time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
-    if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
+    if (data.span_s - time) * frequency_hz < TUNING.min_free_cycles:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
     if not _settled(thin, time, frequency_hz, best.free):
@@ -96,7 +119,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
     # Ranked by signal over noise; the first marker, closest to the base, hardly moves but determines the stop best.
     power = np.sum(data.weights * data.values**2, axis=0) / variance
-    order = np.argsort(-power)[:_MAX_CHANNELS]
+    order = np.argsort(-power)[: TUNING.max_channels]
     first = np.array([0], dtype=np.intp)
     return np.unique(np.concatenate([order, first]))
 
@@ -104,21 +127,21 @@ def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]
 def _thinned(data: FitData, frequency_hz: float) -> FitData:
     n = data.time_s.size
     step = data.step_s
-    stride = max(1, min(n // _SEARCH_SAMPLES, int(1.0 / (8.0 * frequency_hz * step))))
+    stride = max(1, min(n // TUNING.search_samples, int(1.0 / (8.0 * frequency_hz * step))))
     return data.rows(slice(None, None, stride))
 
 
 def _grid(span_s: float, frequency_hz: float) -> FloatArray:
-    first, last = _MIN_CYCLES / frequency_hz, span_s - _MIN_FREE_CYCLES / frequency_hz
+    first, last = TUNING.min_cycles / frequency_hz, span_s - TUNING.min_free_cycles / frequency_hz
     return np.unique(np.concatenate([np.geomspace(first, last, 10), np.linspace(first, last, 14)]))
 
 
 def _segment(data: FitData, rows: BoolArray, frequency_hz: float) -> PoleFit | None:
     time = data.time_s[rows]
-    if time.size < _LEAST_SAMPLES:
+    if time.size < TUNING.least_samples:
         return None
     part = data.rows(rows).from_time(float(time[0]))
-    if np.max(part.counts) < _LEAST_SAMPLES:
+    if np.max(part.counts) < TUNING.least_samples:
         return None
     start = np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz])
     return fit_poles(Problem(part, np.ones((time.size, 1))), start)
@@ -140,7 +163,7 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
     """Posterior probability of a change by the information criterion; 0 unless a faster decay follows it."""
     driven, free = float(split.driven.poles[0].real), float(split.free.poles[0].real)
     uncertainty = np.hypot(split.driven.pole_sd[0, 0], split.free.pole_sd[0, 0])
-    if driven - free < _RATE_SD * uncertainty or free >= 0.0:
+    if driven - free < TUNING.rate_sd * uncertainty or free >= 0.0:
         return 0.0
     # Additional parameters: a complex pole, the time, and a complex amplitude and an offset per channel.
     extra = 3.0 + 3.0 * channels
@@ -151,7 +174,7 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
 def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -> bool:
     """Whether the motion in the latter half before the change is steady."""
     cycles = time_s * frequency_hz
-    if cycles < _LEAST_DRIVEN_CYCLES:
+    if cycles < TUNING.least_driven_cycles:
         return False
     late = (data.time_s >= 0.5 * time_s) & (data.time_s < time_s)
     fit = _segment(data, late, frequency_hz)
@@ -159,12 +182,12 @@ def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -
         return False
     rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
     drive_hz = abs(float(fit.poles[0].imag)) / (2.0 * np.pi)
-    if abs(np.log(max(drive_hz, 1e-300) / frequency_hz)) > _DRIVE_NEAR:
+    if abs(np.log(max(drive_hz, 1e-300) / frequency_hz)) > TUNING.drive_near:
         return False
     decay = float(free.poles[0].real)
-    if cycles < _FEW_DRIVEN_CYCLES and _RATE_SD * sd > -_FEW_DRIVEN_SD * decay:
+    if cycles < TUNING.few_driven_cycles and TUNING.rate_sd * sd > -TUNING.few_driven_sd * decay:
         return False
-    return rate > _DRIVEN_DECAY * decay - _RATE_SD * sd
+    return rate > TUNING.driven_decay * decay - TUNING.rate_sd * sd
 
 
 def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:

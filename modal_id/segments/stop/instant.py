@@ -12,25 +12,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from modal_id.data.outliers import beyond_limit
-from modal_id.data.samples import FitData
+from modal_id.data import FitData, beyond_limit
 from modal_id.segments.stop.change_point import DrivenThenFree
 from modal_id.segments.stop.piecewise_fit import PiecewiseProblem, descend, search_instant, solve
 from modal_id.segments.stop.uncertainty import correlation_inflation, envelope_sd, mean_square, posterior_sd
-from modal_id.solve.poles import PoleFit, frequency_hz
-from modal_id.solve.waves import real_columns
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.solve import PoleFit, frequency_hz, real_columns
+from tracker import ComplexArray, FloatArray
 
-_FALSE_ALARM = 0.01
-# Where the mean square residual of a side exceeds the noise by more than this factor, the shaking is not steady (or the
-# decay not free) throughout, and less of that side is used.
-_MISFIT = 1.2
-_MIN_CYCLES = 3.0
-# Rows used on either side: more add little and cost much.
-_MAX_ROWS = 5000
-_MAX_SHORTENINGS = 5
-# A real stop takes some time: for a tenth of a cycle, its middle is uncertain by a tenth of that.
-_STOP_CYCLES = 0.01
+
+@dataclass(frozen=True)
+class Tuning:
+    """The instant of the stop."""
+
+    #: [1] probability that noise alone shows a stop
+    #: statistics: One record in a hundred.
+    false_alarm: float = 0.01
+    #: [1] mean square residual of a side over the noise above which less of it is used
+    #: convention: The shaking is not steady, or the decay not free, throughout.
+    misfit: float = 1.2
+    #: [cycles] least length of a side
+    #: convention: Chosen; effect not measured.
+    min_cycles: float = 3.0
+    #: [samples] rows on either side
+    #: convention: More add little and cost much.
+    max_rows: int = 5000
+    #: [1] times that a side is shortened
+    #: convention: Chosen; effect not measured.
+    max_shortenings: int = 5
+    #: [cycles] sd of the middle of a real stop
+    #: physics: A stop that takes a tenth of a cycle is uncertain by a tenth of that.
+    stop_cycles: float = 0.01
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -63,9 +77,9 @@ def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop |
     poles = np.concatenate([poles[[excited]], np.delete(poles, excited)])
     start = np.array([time_s, 2.0 * np.pi * drive_hz, *np.column_stack([poles.real, poles.imag]).ravel()])
     before_s, after_s = time_s - float(data.time_s[0]), float(data.time_s[-1]) - time_s
-    least = _MIN_CYCLES / drive_hz
+    least = TUNING.min_cycles / drive_hz
     found: Stop | None = None
-    for _ in range(_MAX_SHORTENINGS):
+    for _ in range(TUNING.max_shortenings):
         if min(before_s, after_s) < least:
             break
         window = _rows(data, time_s - before_s, time_s + after_s, time_s)
@@ -74,7 +88,7 @@ def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop |
             break
         if found is None or max(candidate.misfit) < max(found.misfit):
             found = candidate
-        if max(candidate.misfit) < _MISFIT:
+        if max(candidate.misfit) < TUNING.misfit:
             break
         # Shorten the side that fits worse.
         if candidate.misfit[0] > candidate.misfit[1]:
@@ -87,7 +101,7 @@ def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop |
 def _rows(data: FitData, begin_s: float, end_s: float, stop_s: float) -> FitData:
     rows = np.flatnonzero((data.time_s >= begin_s) & (data.time_s <= end_s))
     middle = int(np.searchsorted(data.time_s[rows], stop_s))
-    rows = rows[max(middle - _MAX_ROWS, 0) : middle + _MAX_ROWS]
+    rows = rows[max(middle - TUNING.max_rows, 0) : middle + TUNING.max_rows]
     return data.rows(rows)
 
 
@@ -111,13 +125,13 @@ def _located(data: FitData, variance: FloatArray, start: FloatArray, sd_s: float
     if without is not None:
         without = descend(steady, without)
         gain = (without.chi_square - best.chi_square) / max(best.chi_square / data.weights.size, 1.0)
-        if gain <= float(chdtri(variance.size, _FALSE_ALARM)):
+        if gain <= float(chdtri(variance.size, TUNING.false_alarm)):
             problem, best = steady, without
     after = data.time_s >= best.nonlinear[0]
     sides = mean_square(problem, best, ~after), mean_square(problem, best, after)
     inflation = max(*sides, 1.0) * correlation_inflation(problem, best)
     sd = posterior_sd(problem, best, inflation, reach)
-    sd = float(np.hypot(sd, _STOP_CYCLES * 2.0 * np.pi / float(best.nonlinear[1])))
+    sd = float(np.hypot(sd, TUNING.stop_cycles * 2.0 * np.pi / float(best.nonlinear[1])))
     excited = np.sort(frequency_hz(_unpacked_poles(best.nonlinear)))
     return Stop(float(best.nonlinear[0]), sd, sides, tuple(excited.tolist()))
 

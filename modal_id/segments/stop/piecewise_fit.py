@@ -11,19 +11,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from tracker.arrays import FloatArray
+from modal_id.data import FitData
+from tracker import FloatArray
 
 FIRST_STEPS = 3
-_MINIMA = 3
-_RIDGE = 1e-12
-_MAX_STEPS = 40
-_HALVINGS = 8
-_DIFFERENCE = 1e-4
-# Samples required on each side of the instant.
-_MARGIN = 12
-_COARSE_POINTS = 300
-_POINTS_PER_CYCLE = 24.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Convergence of the fit on both sides of a stop."""
+
+    #: [1] minima that are refined
+    #: convention: Chosen; effect not measured.
+    minima: int = 3
+    #: [1] relative ridge of the normal equations
+    #: physics: Above rounding.
+    ridge: float = 1e-12
+    #: [1] steps of the fit
+    #: convention: Chosen; effect not measured.
+    max_steps: int = 40
+    #: [1] halvings of a step
+    #: convention: Chosen; effect not measured.
+    halvings: int = 8
+    #: [1] relative step of the numerical derivatives
+    #: convention: Chosen; effect not measured.
+    difference: float = 1e-4
+    #: [samples] samples required on each side of the instant
+    #: convention: Chosen; effect not measured.
+    margin: int = 12
+    #: [1] instants of the coarse search
+    #: convention: Chosen; effect not measured.
+    coarse_points: int = 300
+    #: [1] instants per cycle
+    #: convention: Chosen; effect not measured.
+    points_per_cycle: float = 24.0
+
+
+TUNING = Tuning()
+_MAX_STEPS = TUNING.max_steps
 
 
 @dataclass(frozen=True)
@@ -81,7 +106,7 @@ def _project(data: FitData, columns: FloatArray, values: FloatArray) -> tuple[Fl
         weighted = columns * weights[:, None]
         gram = weighted.T @ columns
         size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        gram = gram / np.outer(size, size) + _RIDGE * np.eye(p)
+        gram = gram / np.outer(size, size) + TUNING.ridge * np.eye(p)
         flat = values[:, :, channels].reshape(n, -1)
         solved = np.linalg.solve(gram, (weighted.T @ flat) / size[:, None]) / size[:, None]
         coefficients[:, :, channels] = solved.reshape(p, q, channels.size)
@@ -95,9 +120,9 @@ def _normal_equations(problem: PiecewiseProblem, at: PiecewiseFit) -> tuple[Floa
     slopes = np.empty((problem.data.time_s.size, count, problem.variance.size))
     for index in range(count):
         trial = at.nonlinear.copy()
-        trial[index] += _DIFFERENCE * problem.scale[index]
+        trial[index] += TUNING.difference * problem.scale[index]
         slopes[:, index] = (problem.model(trial) - at.columns) @ at.coefficients
-    slopes = _project(problem.data, at.columns, slopes / _DIFFERENCE)[1]
+    slopes = _project(problem.data, at.columns, slopes / TUNING.difference)[1]
     root = np.sqrt(problem.data.weights / problem.variance)
     flat = np.moveaxis(slopes * root[:, None, :], 1, 0).reshape(count, -1)
     return flat @ flat.T, flat @ (root * at.residual).ravel()
@@ -127,7 +152,7 @@ def descend(problem: PiecewiseProblem, start: PiecewiseFit, max_steps: int = _MA
 
 def _line_search(problem: PiecewiseProblem, best: PiecewiseFit, step: FloatArray) -> PiecewiseFit | None:
     step = step * min(1.0, problem.stride / max(abs(float(step[0])), 1e-300))
-    for _ in range(_HALVINGS):
+    for _ in range(TUNING.halvings):
         trial = best.nonlinear + step * problem.scale
         trial[0] = _bounds(problem, trial[0], trial[0])[0]
         moved = solve(problem, trial)
@@ -146,7 +171,7 @@ def instant_sd(problem: PiecewiseProblem, best: PiecewiseFit) -> float:
 def _bounds(problem: PiecewiseProblem, low: float, high: float) -> tuple[float, float]:
     """An interval of instants, restricted to those with samples on both sides."""
     time = problem.data.time_s
-    margin = min(_MARGIN, time.size // 4)
+    margin = min(TUNING.margin, time.size // 4)
     first, last = float(time[margin]), float(time[-margin - 1])
     return min(max(low, first), last), max(min(high, last), first)
 
@@ -155,8 +180,8 @@ def _instants_within(problem: PiecewiseProblem, start: FloatArray, reach_s: floa
     """Instants to try within `reach_s` of the start, at most half a sample and a 24th of a cycle apart if possible."""
     low, high = _bounds(problem, start[0] - reach_s, start[0] + reach_s)
     finest = 2.0 * (high - low) / float(problem.scale[0])
-    per_cycle = _POINTS_PER_CYCLE * (high - low) * float(start[1]) / (2.0 * np.pi)
-    return np.linspace(low, high, int(min(max(9.0, min(finest, per_cycle)), _COARSE_POINTS)))
+    per_cycle = TUNING.points_per_cycle * (high - low) * float(start[1]) / (2.0 * np.pi)
+    return np.linspace(low, high, int(min(max(9.0, min(finest, per_cycle)), TUNING.coarse_points)))
 
 
 def scan(problem: PiecewiseProblem, start: FloatArray, reach_s: float, count: int) -> list[PiecewiseFit]:
@@ -172,5 +197,5 @@ def scan(problem: PiecewiseProblem, start: FloatArray, reach_s: float, count: in
 
 def search_instant(problem: PiecewiseProblem, start: FloatArray, reach_s: float) -> PiecewiseFit | None:
     """The best fit with the instant within `reach_s` of the start; None where nothing can be solved."""
-    found = [descend(problem, one, FIRST_STEPS) for one in scan(problem, start, reach_s, _MINIMA)]
+    found = [descend(problem, one, FIRST_STEPS) for one in scan(problem, start, reach_s, TUNING.minima)]
     return min(found, key=lambda one: one.chi_square, default=None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from modal_id.segments.stop.piecewise_fit import (
@@ -13,12 +15,25 @@ from modal_id.segments.stop.piecewise_fit import (
     scan,
     solve,
 )
-from tracker.arrays import BoolArray, FloatArray
+from tracker import BoolArray, FloatArray
 
-# Increase of chi-square up to which another instant competes, and before its descent.
-_COMPETING = 12.0
-_COMPETING_BEFORE_DESCENT = 300.0
-_MOST_COMPETING = 5
+
+@dataclass(frozen=True)
+class Tuning:
+    """Competing instants."""
+
+    #: [1] increase of chi-square up to which another instant competes
+    #: statistics: A probability of 5e-4 for one instant.
+    competing: float = 12.0
+    #: [1] the same before its descent
+    #: convention: Chosen; effect not measured.
+    competing_before_descent: float = 300.0
+    #: [1] instants that are followed
+    #: convention: For time.
+    most_competing: int = 5
+
+
+TUNING = Tuning()
 
 
 def envelope_sd(problem: PiecewiseProblem, start: FloatArray) -> float:
@@ -40,15 +55,15 @@ def posterior_sd(problem: PiecewiseProblem, best: PiecewiseFit, inflation: float
 
     `inflation` is the factor on the noise variance for misfit and autocorrelation.
     """
-    limit = best.chi_square + _COMPETING_BEFORE_DESCENT * inflation
-    near = scan(problem, best.nonlinear, reach_s, _MOST_COMPETING)
+    limit = best.chi_square + TUNING.competing_before_descent * inflation
+    near = scan(problem, best.nonlinear, reach_s, TUNING.most_competing)
     rivals = [descend(problem, one, FIRST_STEPS) for one in near if one.chi_square < limit]
     distances: list[float] = []
     mass, square = 0.0, 0.0
     for one in [best, *rivals]:
         offset_s = float(one.nonlinear[0] - best.nonlinear[0])
         excess = one.chi_square - best.chi_square
-        if excess > _COMPETING * inflation or any(
+        if excess > TUNING.competing * inflation or any(
             abs(offset_s - d) < 0.2 * problem.scale[0] for d in distances
         ):
             continue

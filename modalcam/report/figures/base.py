@@ -9,15 +9,20 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import shown_channel, shown_mode
-from modalcam.report.style.environment import environment
-from modalcam.report.style.palette import WIDTH_IN, figure_style, new_figure, variables
-from modalcam.report.style.svg import FigureView, figure_svg, inline
-from modalcam.storage.cache import Cache, digest
-from modalcam.storage.provenance import code_sha256
-from sim.beam.modes import BeamModes
+from modal_id import Identification, IdentifiedMode
+from modalcam.pipeline import Cache, RecordingResult, code_sha256, digest
+from modalcam.report.signals import shown_channel, shown_mode
+from modalcam.report.style import (
+    WIDTH_IN,
+    FigureView,
+    environment,
+    figure_style,
+    figure_svg,
+    inline,
+    new_figure,
+    variables,
+)
+from sim.beam import BeamModes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +108,7 @@ class FigureKind(Generic[Shown]):
     def cache_key(self, shown: Shown) -> str:
         """Hash of all that determines the drawing: results, size, colours, drawing code, version of matplotlib."""
         package = "modalcam.report"
-        modules = (f"{package}.style", f"{package}.derived", self.draw.__module__)
+        modules = (f"{package}.style", f"{package}.signals", self.draw.__module__)
         size = (self.height_in, self.width_in)
         return digest((self.key, size, variables(), code_sha256(*modules), _matplotlib_version(), shown))
 

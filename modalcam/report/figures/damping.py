@@ -8,18 +8,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.results import IdentifiedMode
-from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.derived.signals import shown_mode
+from modal_id import IdentifiedMode
+from modalcam.pipeline import BeamResult, RunResult
 from modalcam.report.figures.base import FigureKind
-from modalcam.report.style.axes import Style, log_y
-from modalcam.report.style.format import significant
-from modalcam.report.style.labels import PointLabel, place_labels
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
+from modalcam.report.signals import shown_mode
+from modalcam.report.style import (
+    ALERT,
+    INK,
+    RAYLEIGH,
+    PointLabel,
+    Style,
+    legend_above,
+    log_y,
+    place_labels,
+    significant,
+)
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS, MeasuredDamping, rayleigh_to_all
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,7 @@
-"""Displacement of the markers over the whole recording, with onset, fit and residual."""
+"""Figures of the decay against time: the whole recording, a close-up of a few cycles, and the envelope.
+
+The axis of amplitude is logarithmic, where a constant damping ratio is a straight line.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,29 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from modal_id.results import Identification
-from modalcam.report.derived.signals import residual
-from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import few_ticks, onset_line, share_time, trace
-from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
-from modalcam.report.style.safe_text import channel_label, figure_label, quantity
-from tracker.results import DisplacementSeries
+from modal_id import Identification, IdentifiedMode
+from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import measured_envelope, mode_motion, residual
+from modalcam.report.style import (
+    ALERT,
+    COLUMNS,
+    FIT,
+    INK,
+    MEASURED,
+    MUTED,
+    channel_label,
+    dots,
+    few_ticks,
+    figure_label,
+    legend_above,
+    log_y,
+    onset_line,
+    percent,
+    quantity,
+    share_time,
+    trace,
+)
+from tracker import DisplacementSeries, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,3 +102,105 @@ def _finish(
 
 
 DECAY = FigureKind("decay", "recording", _shows, _draw, essential=True)
+
+
+_CYCLES = 4.0
+
+
+def _draw_close_up(figure: Figure, shown: Target) -> bool:
+    found, mode, channel = shown
+    series = found.series
+    used = np.flatnonzero(found.used[:, channel])
+    if used.size < 2:
+        return False
+    span = _CYCLES / mode.frequency_hz
+    start, end = found.onset.fit_from_s, float(series.time_s[used[-1]])
+    late = max(start, min(start + 0.6 * (end - start), end - span))
+    panels = ((start, "At the start of the fit"), (late, "Late in the decay"))
+    for axes, (begin, title) in zip(figure.subplots(1, 2), panels, strict=True):
+        inside = (series.time_s >= begin) & (series.time_s <= begin + span)
+        t, y = series.time_s[inside], series.values[inside, channel]
+        dots(axes, t, y, MEASURED, 3.2 if t.size < 150 else 2.0, label="measured")
+        fine = np.linspace(begin, begin + span, 160)
+        trace(axes, fine, _fine_fit(found, channel, fine), FIT, width=1.2, label="fitted")
+        few_ticks(axes, x=5)
+        axes.set(title=title, xlabel="time (s)")
+        axes.margins(y=0.08)
+    figure.axes[0].set_ylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})")
+    legend_above(figure, figure.axes[1].get_legend_handles_labels(), columns=2)
+    return True
+
+
+def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatArray:
+    """The fitted motion between the samples: the modes evaluated, the slow remainder interpolated."""
+    start, good = found.onset.fit_from_s, np.flatnonzero(np.isfinite(found.fitted[:, channel]))
+    around = np.searchsorted(found.series.time_s[good], time_s[[0, -1]])
+    good = good[max(int(around[0]) - 1, 0) : int(around[1]) + 1]
+    sample_s = found.series.time_s[good]
+    rest = found.fitted[good, channel] - sum(mode_motion(m, sample_s - start, channel) for m in found.modes)
+    motion = np.asarray(sum(mode_motion(m, time_s - start, channel) for m in found.modes), dtype=np.float64)
+    return motion + np.interp(time_s, sample_s, rest) if good.size else motion
+
+
+CLOSE_UP = FigureKind("close", "recording", RecordingSubject.target, _draw_close_up)
+
+
+def _draw_envelope(figure: Figure, shown: Target) -> bool:
+    found, mode, channel = shown
+    time_s, amplitude = measured_envelope(found, mode, channel)
+    positive = amplitude > 0.0
+    initial = float(np.abs(mode.shape[channel]))
+    if np.count_nonzero(positive) < 3 or initial == 0.0:
+        return False
+    axes = figure.subplots()
+    dots(axes, time_s[positive], amplitude[positive], MEASURED, 3.4, label="measured")
+    since_s = np.linspace(0.0, float(time_s[positive][-1]) - found.onset.fit_from_s, 80)
+    axis_s = found.onset.fit_from_s + since_s
+    fitted = initial * np.exp(-mode.damping_ratio * mode.omega_n_rad_s * since_s)
+    label = f"fitted, ζ = {percent(mode.damping_ratio, 3)}"
+    axes.plot(axis_s, fitted, color=FIT, linewidth=1.1, label=label)
+    curved = _dependent_amplitude(mode, since_s, channel)
+    if curved is not None:
+        axes.plot(axis_s, curved, "--", color=ALERT, linewidth=1.2, label="ζ depends on amplitude")
+    few_ticks(axes, x=7)
+    drawn = np.concatenate((amplitude[positive], fitted))
+    _vertical(axes, float(drawn.min()), float(drawn.max()), float(found.residual_sd[channel]))
+    axes.set(xlabel="time (s)", ylabel=f"amplitude ({figure_label(found.series.unit)})")
+    legend_above(figure, columns=4)
+    return True
+
+
+def _vertical(axes: Axes, low: float, high: float, noise_sd: float) -> None:
+    """Axis and noise of one frame; of the data alone where they take less than half of the range above the noise."""
+    from matplotlib.ticker import MaxNLocator, NullLocator  # noqa: PLC0415 - only to draw
+
+    if noise_sd > 0.0 and high / low > np.sqrt(high / noise_sd):
+        label = "noise of one frame (1 sd)"
+        axes.axhline(noise_sd, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label=label)
+        log_y(axes)
+        return
+    log_y(axes, (1.0,) if high > 30.0 * low else (1.0, 2.0, 3.0, 5.0, 7.0))
+    if high < 4.0 * low:
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_minor_locator(NullLocator())
+    margin = max((high / low) ** 0.08, 1.01)
+    axes.set_ylim(low / margin, high * margin)
+
+
+def _dependent_amplitude(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray | None:
+    """Amplitude of a channel by the curve, or by ``zeta0 + zeta1 a``; None unless the dependence is significant."""
+    fit = mode.amplitude_dependence
+    if fit is None or not fit.significant or (fit.curve is None and fit.zeta0 == 0.0):
+        return None
+    initial = float(np.abs(mode.shape[channel]))
+    if fit.curve is not None:
+        amplitude = fit.curve.decay(since_s) * initial / float(np.nanmax(np.abs(mode.shape)))
+    else:
+        # Solution of a' = -(zeta0 + zeta1 a) omega a with a(0) = 1.
+        exponent = fit.zeta0 * mode.omega_n_rad_s * since_s
+        with np.errstate(all="ignore"):
+            amplitude = initial * np.exp(-exponent) / (1.0 - fit.zeta1 / fit.zeta0 * np.expm1(-exponent))
+    return amplitude if np.all(amplitude > 0.0) else None
+
+
+ENVELOPE = FigureKind("envelope", "recording", RecordingSubject.target, _draw_envelope)

@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.subspace import StabilityDiagram, stability_diagram
-from modal_id.results import Identification
-from modal_id.solve.poles import frequency_hz
-from modalcam.report.derived.signals import highest, residual, spectral_density
+from modal_id import Identification
+from modal_id.solve import frequency_hz
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.style.axes import dots, few_ticks, log_y
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import FAINT, FIT, INK, MEASURED
-from modalcam.report.style.safe_text import figure_label
+from modalcam.report.signals import highest, residual, spectral_density, stability_of
+from modalcam.report.style import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    dots,
+    few_ticks,
+    figure_label,
+    legend_above,
+    log_y,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,25 +65,9 @@ def _draw_spectrum(figure: Figure, shown: Target) -> bool:
     return True
 
 
-def diagram_of(found: Identification) -> StabilityDiagram | None:
-    """Poles of the samples that were fitted; None where they are too few."""
-    chosen = np.flatnonzero(found.channels_used)
-    rows = np.flatnonzero(found.used[:, chosen].any(axis=1))
-    if rows.size < 2:
-        return None
-    cells = np.ix_(rows, chosen)
-    weights = (found.used & np.isfinite(found.series.values) & np.isfinite(found.baseline))[cells].astype(
-        float
-    )
-    time_s = found.series.time_s[rows] - found.series.time_s[rows[0]]
-    data = FitData(time_s, np.where(weights > 0.0, found.series.values[cells], 0.0), weights)
-    baseline = np.where(weights > 0.0, found.baseline[cells], 0.0)
-    return stability_diagram(data, baseline, max(mode.frequency_hz for mode in found.modes))
-
-
 def _draw_stability(figure: Figure, shown: Target) -> bool:
     found = shown.found
-    diagram = diagram_of(found)
+    diagram = stability_of(found)
     if diagram is None:
         return False
     masks = [diagram.stable(index) for index in range(len(diagram.orders))]

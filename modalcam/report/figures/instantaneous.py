@@ -6,13 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modalcam.report.derived.signals import instantaneous
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.style.axes import Style, few_ticks
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import ALERT, FIT, MEASURED
-from modalcam.report.style.safe_text import figure_label
-from tracker.arrays import FloatArray
+from modalcam.report.signals import instantaneous
+from modalcam.report.style import ALERT, FIT, MEASURED, Style, few_ticks, figure_label, legend_above
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 def _draw(figure: Figure, shown: Target) -> bool:
     found, mode, channel = shown
     seen = instantaneous(found, mode, channel)
-    if len(seen) < 3:
+    if seen.amplitude.size < 3:
         return False
     f, initial = mode.frequency_hz, float(np.abs(mode.shape[channel]))
     left, right = figure.subplots(1, 2)

@@ -6,22 +6,18 @@ import re
 from collections.abc import Iterator
 from typing import Any, get_args
 
+from modalcam.pipeline import Cache
 from modalcam.report.figures.base import FigureKind, Place
-from modalcam.report.figures.close_up import CLOSE_UP
 from modalcam.report.figures.damping import DAMPING, VARIANTS
-from modalcam.report.figures.decay import DECAY
-from modalcam.report.figures.envelope import ENVELOPE
+from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE
 from modalcam.report.figures.frequency import SPECTRUM, STABILITY
 from modalcam.report.figures.instantaneous import INSTANTANEOUS
-from modalcam.report.figures.posterior import POSTERIOR
-from modalcam.report.figures.shape import SHAPE
+from modalcam.report.figures.posterior import POSTERIOR, TRACE
+from modalcam.report.figures.shape import SHAPE, WATERFALL
 from modalcam.report.figures.simulated import SIMULATED
-from modalcam.report.figures.trace import TRACE
 from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
-from modalcam.report.figures.waterfall import WATERFALL
-from modalcam.report.style.svg import FigureView
-from modalcam.storage.cache import Cache
+from modalcam.report.style import FigureView
 
 _RECORDING = (
     DECAY,
@@ -58,22 +54,28 @@ def register_figure(kind: FigureKind[Any]) -> None:
     FIGURES[kind.key] = kind
 
 
+# Of a recording, and of the whole run; in the order on the page.
+RECORDING_PLACES: tuple[Place, ...] = ("recording", "tracking")
+RUN_PLACES: tuple[Place, ...] = ("damping", "comparison", "updating")
+
+
 def shown_in(
-    place: Place, subject: object, *, only_essential: bool = False
+    places: tuple[Place, ...], subject: object, *, only_essential: bool = False
 ) -> Iterator[tuple[FigureKind[Any], Any]]:
-    """Kinds of figures of one place that have anything to show, each with what it shows."""
-    for kind in FIGURES.values():
-        if kind.place == place and (kind.essential or not only_essential):
-            shown = kind.shows(subject)
-            if shown is not None:
-                yield kind, shown
+    """Kinds of figures of some places that have anything to show, each with what it shows."""
+    for place in places:
+        for kind in FIGURES.values():
+            if kind.place == place and (kind.essential or not only_essential):
+                shown = kind.shows(subject)
+                if shown is not None:
+                    yield kind, shown
 
 
 def figures_of(
     place: Place, subject: object, prefix: str, *, only_essential: bool = False, cache: Cache | None = None
 ) -> Iterator[FigureView]:
     """Figures of one place; their ids begin with `prefix`."""
-    for kind, shown in shown_in(place, subject, only_essential=only_essential):
+    for kind, shown in shown_in((place,), subject, only_essential=only_essential):
         view = kind.view(f"{prefix}-{kind.key}", shown, cache)
         if view is not None:
             yield view

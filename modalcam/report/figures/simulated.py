@@ -8,15 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.derived.signals import drawn_decays
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import dots, few_ticks, share_time, trace
-from modalcam.report.style.format import percent
-from modalcam.report.style.palette import COLUMNS, MEASURED
-from modalcam.report.style.safe_text import channel_label, figure_label
+from modalcam.report.signals import drawn_decays
+from modalcam.report.style import (
+    COLUMNS,
+    MEASURED,
+    channel_label,
+    dots,
+    few_ticks,
+    figure_label,
+    percent,
+    share_time,
+    trace,
+)
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

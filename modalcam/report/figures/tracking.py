@@ -6,13 +6,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.axes import Style, few_ticks, log_y
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
-from modalcam.report.style.safe_text import figure_label
-from tracker.results import MarkerTracks
+from modalcam.report.signals import TrackingQuality, tracking_quality
+from modalcam.report.style import (
+    ALERT,
+    FIT,
+    GENERIC,
+    INK,
+    MUTED,
+    Style,
+    few_ticks,
+    figure_label,
+    legend_above,
+    log_y,
+)
+from tracker import MarkerTracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

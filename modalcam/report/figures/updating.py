@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modalcam.report.figures.base import FigureKind
-from modalcam.report.style.axes import Style, few_ticks
-from modalcam.report.style.palette import FIT, MUTED, RAYLEIGH
+from modalcam.report.style import FIT, MUTED, RAYLEIGH, Style, few_ticks
 from sim.updating import Updating
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ _Z_90 = 1.6449
 
 
 def _draw(figure: Figure, shown: Updating) -> None:
-    from modalcam.report.style.layout import GridLayout  # noqa: PLC0415 - loads matplotlib
+    from modalcam.report.style import GridLayout  # noqa: PLC0415 - loads matplotlib
 
     posterior, paper = shown.bayesian, shown.paper
     ne = posterior.properties.elements

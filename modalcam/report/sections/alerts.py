@@ -8,21 +8,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from modal_id.check import Check
-from modal_id.flags import ModeFlag, quoted_note
-from modal_id.modes.line_effect import line_effect
-from modal_id.results import DrivenMotion, IdentifiedMode
-from modalcam.pipeline.combined_modes import MeasuredMode
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.signals import best_modes, main_modes
-from modalcam.report.style.format import count, fixed, listed, mode_name, p_value, percent, significant
-from tracker.flags import REGISTRY
-from tracker.results import MarkerTracks
-from tracker.severity import Severity
+from modal_id import Check, DrivenMotion, IdentifiedMode, ModeFlag, quoted_note
+from modal_id.modes import line_effect
+from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult
+from modalcam.report.signals import best_modes, main_modes
+from modalcam.report.style import count, fixed, listed, mode_name, p_value, percent, significant
+from tracker import REGISTRY, MarkerTracks, Severity
 
-R_HAT_LIMIT = 1.05
-# Modal phase collinearity below which the markers do not move as in a normal mode.
-MPC_LIMIT = 0.95
+
+@dataclass(frozen=True)
+class Tuning:
+    """What is listed as a failed check."""
+
+    #: [1] chains with a larger R-hat have not converged
+    #: convention: Between 1.1 (Gelman and Rubin 1992) and 1.01 (Vehtari et al. 2021), beyond which the trace is shown.
+    r_hat: float = 1.05
+    #: [1] markers of a smaller modal phase collinearity do not move as in a normal mode
+    #: convention: Proportional damping gives 1; no reference states a limit.
+    mpc: float = 0.95
+    #: [1] factor on an interval from which on it is stated
+    #: convention: A smaller factor is not worth a line.
+    wider: float = 1.05
+    #: [1] relative distance from a measured mode within which a line of a residual is named after it
+    #: convention: Modes of a beam are factors apart.
+    near: float = 0.02
+
+
+TUNING = Tuning()
 # Kinds of checks, those with the largest effect first.
 KINDS = (
     "playback",
@@ -43,10 +55,6 @@ KINDS = (
 # Severities of the flags listed as failed checks, and the largest number of places named with each.
 _SHOWN = (Severity.WRONG, Severity.INTERVAL)
 MOST_PLACES = 6
-# Factor on an interval from which on it is stated.
-_WIDER = 1.05
-# Relative distance from a measured mode within which a line of a residual is named after it.
-_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -173,7 +181,7 @@ def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> 
     if mode is not None and mode.number is not None:
         known[f"twice mode {mode.number}"] = 2.0 * mode.frequency_hz
     near = min(known, key=lambda name: abs(known[name] - hz), default="")
-    close = bool(near) and abs(known[near] / hz - 1.0) < _NEAR
+    close = bool(near) and abs(known[near] / hz - 1.0) < TUNING.near
     effect = None
     if mode is not None:
         changed = line_effect(view["found"], mode, hz)
@@ -225,7 +233,9 @@ def _of_fits(views: Sequence[dict[str, Any]], modes_hz: Mapping[int, float]) -> 
     ranked = sorted(failed.items(), key=lambda item: min(check.p_value for _, check in item[1]))
     out = [_fit_alert(name, ones, modes_hz) for name, ones in ranked]
     waves = [
-        (v["anchor"], f"{v['recording'].name} ({fixed(v['mpc'], 4)})") for v in views if v["mpc"] <= MPC_LIMIT
+        (v["anchor"], f"{v['recording'].name} ({fixed(v['mpc'], 4)})")
+        for v in views
+        if v["mpc"] <= TUNING.mpc
     ]
     return [*out, Alert("phase", tuple(waves))]
 
@@ -293,7 +303,7 @@ def _widest(widened: dict[str, list[IdentifiedMode]], flag: str) -> float:
 
 def _wider(modes: Sequence[IdentifiedMode]) -> str:
     """``1.2 to 3.4``: factors by which the intervals of the damping ratios are wider than for white noise."""
-    factors = [significant(f, 2) for f in sorted(map(_factor, modes)) if f >= _WIDER]
+    factors = [significant(f, 2) for f in sorted(map(_factor, modes)) if f >= TUNING.wider]
     return " to ".join(dict.fromkeys((factors[0], factors[-1]))) if factors else ""
 
 
@@ -329,4 +339,4 @@ def _tracked(recording: RecordingResult, holds: Callable[[MarkerTracks], bool]) 
 def _not_converged(recording: RecordingResult) -> bool:
     found = recording.identified
     # A NaN is not above the limit.
-    return found is not None and any(r > R_HAT_LIMIT for m in found.modes for r in m.posterior.r_hat)
+    return found is not None and any(r > TUNING.r_hat for m in found.modes for r in m.posterior.r_hat)

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from modalcam.pipeline.model_scores import ModelScore, compared, model_scores
-from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.signals import decay_of, shown_mode
+from modalcam.pipeline import ModelScore, RunResult, compared, model_scores
+from modalcam.report.signals import decay_of, shown_mode
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay, ScoreSum
 from sim.damping import DAMPING_MODELS
 
-# Relative error of the damping ratio beyond which a model fails.
-_FAILS = 0.05
+
+@dataclass(frozen=True)
+class Tuning:
+    """When a damping model fails."""
+
+    #: [1] relative error of the damping ratio beyond which a model fails
+    #: convention: The figure of the damping ratios writes the factor at the point from there on.
+    fails: float = 0.05
+
+
+TUNING = Tuning()
 
 
 class Worst(NamedTuple):
@@ -27,7 +36,7 @@ class Worst(NamedTuple):
     @property
     def accurate(self) -> bool:
         """Whether the model reproduces every measured damping ratio."""
-        return abs(self.ratio - 1.0) < _FAILS
+        return abs(self.ratio - 1.0) < TUNING.fails
 
 
 class ModelContrast(NamedTuple):
@@ -99,7 +108,7 @@ def _contrast(first: ModelScore, other: ModelScore, comparisons: list[DecayCompa
     for comparison in comparisons:
         decay = decay_of(comparison, bad.model)
         ratio = np.nan if decay is None else decay.damping_ratio / comparison.damping_ratio
-        if abs(ratio - 1.0) > _FAILS:
+        if abs(ratio - 1.0) > TUNING.fails:
             failures.append((comparison.mode_number, ratio))
     return ModelContrast(good, bad, other.log_density_gain, other.recordings, failures)
 
@@ -114,7 +123,7 @@ def _variants(comparisons: list[DecayComparison]) -> list[VariantContrast]:
             if entry.variant_of is not None
             and (variant := decay_of(c, entry.key)) is not None
             and (base := decay_of(c, entry.variant_of)) is not None
-            and (pair := VariantContrast(c, variant, base)).difference >= _FAILS
+            and (pair := VariantContrast(c, variant, base)).difference >= TUNING.fails
         ]
         if pairs:
             out.append(max(pairs, key=attrgetter("difference")))

@@ -1,32 +1,24 @@
-"""Images of one recording: the first frame, frames across it, and the film next to the simulated one."""
+"""Images of one recording: the first frame, and frames across it."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.style.safe_text import figure_label
-from modalcam.video.exaggerated import ExaggeratedFilm
-from modalcam.video.results import KeptFrames, SimulatedFootage
-from tracker.results import FailedTracking, FrameStrip, MarkerTracks
+from modalcam.report.style import figure_label
+from tracker import FailedTracking, FrameStrip, MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 MOST_CANDIDATES = 60
 # Of more markers, such as the stations of a line, the first, the last and a few between them are named.
 _MOST_NAMES, _NAMED = 30, 6
-SHOWN_PER_S = 12.0
-_FILM_GAP_PX = 6
 # Most that a letter of a name takes, in units of `Frame.unit`.
 _LETTER = 11.0
-_CLOSE_UP_PX = 32
-CLOSE_UP_SHOWN_PX = 176
-# A sheet is a row of frames, and WebP is limited to 16383 px.
-_LARGEST_SIDE_PX = 16_000
 
 
 class Mark(NamedTuple):
@@ -151,47 +143,6 @@ def strip(tracks: MarkerTracks, onset_s: float | None) -> Strip | None:
     return Strip(tuple(_strip_frame(tracks, kept, index, names) for index, names in picks), width, height)
 
 
-def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
-    """Sheets of images side by side: measured and simulated together, and close-ups of the marker that moves most."""
-    n, height, width = simulated.images.shape
-    is_side_by_side = height >= width
-    gap = np.full((n, height, _FILM_GAP_PX) if is_side_by_side else (n, _FILM_GAP_PX, width), 128, np.uint8)
-    frames = np.concatenate([kept.images, gap, simulated.images], axis=2 if is_side_by_side else 1)
-    frames = frames[: max(1, _LARGEST_SIDE_PX // frames.shape[2])]
-    n = frames.shape[0]
-    side = min(_CLOSE_UP_PX, height, width)
-    x, y = simulated.most_moving_px
-    left = int(np.clip(round(x) - side // 2, 0, width - side))
-    top = int(np.clip(round(y) - side // 2, 0, height - side))
-    close_up = np.s_[:n, top : top + side, left : left + side]
-    return {
-        "frames": n,
-        "beside": is_side_by_side,
-        "width": frames.shape[2],
-        "height": frames.shape[1],
-        "sheet": _sheet(frames),
-        "close_ups": (_sheet(kept.images[close_up]), _sheet(simulated.images[close_up])),
-        "step_s": float(np.median(np.diff(simulated.time_s[:n]))),
-    }
-
-
-def exaggerated(made: ExaggeratedFilm) -> dict[str, Any]:
-    """Sheet of the frames of a film, and both turning points for print."""
-    n, height, width = made.images.shape
-    shrink = min(1.0, _LONGEST_SIDE_PX / max(height, width), _LARGEST_SIDE_PX / (n * width))
-    size = max(1, round(width * shrink)), max(1, round(height * shrink))
-    frames = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in made.images])
-    return {
-        "frames": n,
-        "width": size[0],
-        "height": size[1],
-        "sheet": _sheet(frames),
-        "stills": (_sheet(frames[:1]), _sheet(frames[n // 2 : n // 2 + 1])),
-        "factor": made.factor,
-        "largest_px": made.largest_px,
-    }
-
-
 def _picks(tracks: MarkerTracks, kept: FrameStrip, onset_s: float | None) -> dict[int, list[str]]:
     """Indices of the frames shown with their names; a frame can have several."""
     time_s = tracks.time_s[kept.frame]
@@ -224,17 +175,13 @@ def _strip_frame(tracks: MarkerTracks, kept: FrameStrip, index: int, names: list
     return StripFrame(_jpeg(kept.images[index]), lines, centres)
 
 
-def _sheet(frames: NDArray[np.uint8]) -> str:
-    """Frames side by side as a data URI."""
-    return _data_uri("webp", np.concatenate(list(frames), axis=1), [cv2.IMWRITE_WEBP_QUALITY, 60])
-
-
 def _jpeg(frame: NDArray[np.uint8]) -> str:
     # Camera noise makes PNG ten times as large without a visible gain.
-    return _data_uri("jpeg", np.ascontiguousarray(frame), [cv2.IMWRITE_JPEG_QUALITY, 82])
+    return data_uri("jpeg", np.ascontiguousarray(frame), [cv2.IMWRITE_JPEG_QUALITY, 82])
 
 
-def _data_uri(kind: str, image: NDArray[np.uint8], options: list[int]) -> str:
+def data_uri(kind: str, image: NDArray[np.uint8], options: list[int]) -> str:
+    """An image as a data URI, coded as `kind`, such as "jpeg", with options of OpenCV; ValueError if it cannot be."""
     done, coded = cv2.imencode(f".{kind}", image, options)
     if not done:
         msg = f"an image of shape {image.shape} could not be coded as {kind}"

@@ -1,36 +1,67 @@
-"""What the page shows of one recording."""
+"""What the page shows of one recording, with its mode shapes in motion by the style sheet alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from modal_id.flags import ModeFlag
-from modal_id.modes.shapes import mpc
-from modal_id.record import Segment
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import main_modes, nrmse_of_fit, shown_mode
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.registry import figures_of
+from modal_id import Identification, IdentifiedMode, ModeFlag, Segment
+from modal_id.modes import mpc
+from modalcam.pipeline import Cache, RecordingResult
+from modalcam.report.figures import MOST_POINTS, RecordingSubject, figures_of, shape_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
-from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
-from modalcam.report.sections.motion import moving_shape
-from modalcam.report.style.format import mode_name
-from modalcam.report.style.safe_text import sentence
-from modalcam.storage.cache import Cache, Value, digest
-from modalcam.storage.provenance import code_sha256
-from modalcam.video.exaggerated import ExaggeratedFilm, exaggerated_film
-from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from sim.beam.modes import BeamModes
-from sim.comparison import DecayComparison, FailedComparison
+from modalcam.report.sections.images import first_frame, named_among, strip
+from modalcam.report.sections.section import SECTIONS, Section
+from modalcam.report.signals import main_modes, nrmse_of_fit, shown_mode
+from modalcam.report.style import mode_name, sentence
+from sim.beam import BeamModes
+from sim.comparison import DecayComparison
 from sim.damping import DAMPING_MODELS
-from tracker.flags import DUPLICATE_FRAME
-from tracker.results import MarkerTracks
-from tracker.severity import Severity
+from tracker import DUPLICATE_FRAME, Failure, FloatArray, MarkerTracks, Severity
+
+# Length of the beam and largest amplitude, in the units of the drawing.
+LENGTH, AMPLITUDE = 200.0, 28.0
+
+
+class MovingShape(NamedTuple):
+    """A mode shape at one extreme: y is down, the beam at rest lies on y = 0 from the clamp at x = 0.
+
+    `points` are the markers; of many, such as the stations of a line, `measured` is the path instead. Paths are empty
+    where there is none.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    measured: str
+    theory: str
+
+
+def moving_shape(subject: RecordingSubject) -> MovingShape | None:
+    """Shape of the mode shown, its component in phase; None where it has no shape."""
+    shown = shape_of(subject)
+    if shown is None:
+        return None
+    at, real = shown.position_mm, shown.shape.real
+    theory_at, theory = (np.empty(0), np.empty(0)) if shown.curve is None else shown.curve
+    longest = float(np.max(np.concatenate((at, theory_at))))
+    largest = float(np.max(np.abs(np.concatenate((real, theory)))))
+    if not (longest > 0.0 and largest > 0.0):
+        return None
+    x, y = LENGTH * at / longest, -AMPLITUDE * real / largest
+    many = at.size > MOST_POINTS
+    return MovingShape(
+        points=()
+        if many
+        else tuple((round(float(a), 1), round(float(b), 1)) for a, b in zip(x, y, strict=True)),
+        measured=_path(x, y) if many else "",
+        theory=_path(LENGTH * theory_at[::3] / longest, -AMPLITUDE * theory[::3] / largest),
+    )
+
+
+def _path(x: FloatArray, y: FloatArray) -> str:
+    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True)) if x.size else ""
+
 
 _MIN_CHANNELS = 3
 
@@ -105,10 +136,7 @@ def recording_view(
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
         "moving": moving_shape(subject) if detail.figures else None,
-        "film": _film(recording, cache) if detail.diagnostics else None,
-        "exaggerated": _exaggerated(tracks, found, mode, cache)
-        if tracks and found and mode and detail.diagnostics
-        else None,
+        "sections": _sections(recording, cache) if detail.diagnostics else [],
     }
 
 
@@ -121,27 +149,10 @@ def _segments(found: Identification) -> list[tuple[Segment, str]]:
     return out
 
 
-def _film(recording: RecordingResult, cache: Cache | None) -> dict[str, Any] | None:
-    kept, simulated = recording.kept_frames, recording.simulated_footage
-    if not isinstance(kept, KeptFrames) or not isinstance(simulated, SimulatedFootage):
-        return None
-    key = ("film", code_sha256(film.__module__), kept, simulated)
-    return _kept(cache, key, lambda: film(kept, simulated)) | {"footage": simulated}
-
-
-def _kept(cache: Cache | None, key: tuple[object, ...], make: Callable[[], Value]) -> Value:
-    return make() if cache is None else cache.cached(digest(key), make)
-
-
-def _exaggerated(
-    tracks: MarkerTracks, found: Identification, mode: IdentifiedMode, cache: Cache | None
-) -> dict[str, Any]:
-    def make() -> dict[str, Any]:
-        made = exaggerated_film(tracks, found, mode)
-        return exaggerated(made) if isinstance(made, ExaggeratedFilm) else {}
-
-    key = ("exaggerated", code_sha256(exaggerated_film.__module__, exaggerated.__module__), tracks, mode)
-    return _kept(cache, key, make) if tracks.kind == "line" else {}
+def _sections(recording: RecordingResult, cache: Cache | None) -> list[tuple[Section, dict[str, Any]]]:
+    """Sections that apps and plugins add, each with its variables."""
+    views = ((section, section.variables(recording, cache)) for section in SECTIONS.values())
+    return [(section, view) for section, view in views if view is not None]
 
 
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
@@ -203,9 +214,8 @@ def _notes(recording: RecordingResult) -> list[str]:
     if isinstance(comparison, DecayComparison):
         notes += comparison.notes
         notes += [f"{DAMPING_MODELS[d.model].label}: {sentence(d.note)}" for d in comparison.models if d.note]
-    if isinstance(comparison, FailedComparison):
+    if isinstance(comparison, Failure):
         notes.append(f"The decay was not simulated: {sentence(comparison.reason)}")
-    for missing in (recording.kept_frames, recording.simulated_footage):
-        if isinstance(missing, NoFootage):
-            notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
+    for section in SECTIONS.values():
+        notes += () if section.notes is None else section.notes(recording)
     return list(dict.fromkeys(sentence(note) for note in notes if note))

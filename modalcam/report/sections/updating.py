@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.derived.signals import best_modes
-from modalcam.report.style.format import significant, superscript
+from modalcam.pipeline import BeamResult, RunResult
+from modalcam.report.signals import best_modes
+from modalcam.report.style import significant, superscript
 from sim.updating import Updating, variable_names
-from tracker.arrays import FloatArray
+from tracker import FloatArray
 
 _UNIFORM = ("width", "thickness", "density", "modulus")
 # Exponents below this are zero.

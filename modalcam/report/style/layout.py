@@ -1,7 +1,7 @@
 """Layout of a figure's grid of axes: room for tick labels, axis labels, titles and the figure's legend.
 
 matplotlib's constrained layout measures every artist twice, which takes half of the time that a figure of the report
-takes to draw. Here the margins follow from the tick labels alone.
+takes to draw. Here the margins follow from the tick labels alone. A file of its own because it loads matplotlib.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.textpath import text_to_path
 from numpy.typing import NDArray
 
-from modalcam.report.style.legend import LEGEND_LINE, legend_lines
+from modalcam.report.style.figure import LEGEND_LINE, legend_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

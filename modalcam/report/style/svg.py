@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup, escape
 
 from modalcam.report.style.palette import variables
-from modalcam.report.style.safe_text import trusted
+from modalcam.report.style.text import trusted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,20 +2,17 @@
 
 import numpy as np
 import pytest
+from kit.series import series_of
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
-from support.modal_decays import series_of
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id.curve.average import amplitude_curve
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import ModalFit
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
-from modal_id.solve.linear import Problem
-from modal_id.solve.poles import fit_poles, pole
+from modal_id import IdentifySettings, identify
+from modal_id.curve import amplitude_curve
+from modal_id.data import FitData, bandwidth_hz, baseline_matrix
+from modal_id.fit import ModalFit
+from modal_id.posterior import modal_bound
+from modal_id.solve import Problem, fit_poles, pole
 
 
 def decay(time_s, zeta, frequency_hz, initial=1.0):
@@ -73,7 +70,10 @@ def scores(case, seeds):
     return np.array(found)
 
 
-def check(case, seeds):
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(100, 160), marks=pytest.mark.slow)], ids=len)
+def test_errors_are_within_the_stated_standard_deviations(case, seeds):
     errors = scores(case, seeds)
     n = errors.shape[0]
     # Sum of squares of n normal scores: at most the 1 - 1e-4 quantile of chi-square for each of the eight values.
@@ -81,18 +81,6 @@ def check(case, seeds):
     rms = np.sqrt(np.mean(errors**2, axis=0))
     assert np.all(rms < limit), f"{case}: rms of error / sd {np.round(rms, 2)}, chi-square allows {limit:.2f}"
     assert np.max(np.abs(errors)) < 4.5, f"{case}: an error of {np.max(np.abs(errors)):.1f} sd"
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_errors_are_within_the_stated_standard_deviations(case):
-    check(case, range(4))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("case", CASES)
-def test_errors_are_within_the_stated_standard_deviations_of_60_records(case):
-    check(case, range(100, 160))
 
 
 def test_constant_values_are_found_at_the_cramer_rao_bound():

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from modal_id.curve.laws import PowerLaw, SaturatingLaw, SplineLaw
-from modal_id.curve.quadrature import decay_of_law, wave_of_law
-from modal_id.fit.amplitude_dependence import nonlinear_decay
+from modal_id.curve import PowerLaw, SaturatingLaw, SplineLaw, decay_of_law, wave_of_law
+from modal_id.fit import nonlinear_decay
 
 TIME_S = np.append(0.0, np.sort(np.random.default_rng(0).uniform(0.0, 18.0, 3000)))
 # Steps of u = ln a are h = 1.5 decay T / 800; the trapezoidal rule and linear interpolation err by at most about

@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, pole_of, series_of
 
-from modal_id.data.held import sampled_rows
-from modal_id.flags import ModeFlag
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, ModeFlag, identify
+from modal_id.data import sampled_rows
 
 
 def held_decay(seed, *, empty=False):

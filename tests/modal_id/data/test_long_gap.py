@@ -4,12 +4,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, pole_of, series_of
 
-from modal_id.data.long_gap import longest_without_pause
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import longest_without_pause
 
 RATE_HZ, FREQUENCY_HZ, ZETA = 500.0, 10.0, 0.01
 

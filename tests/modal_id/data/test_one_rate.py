@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from kit.series import QUICK, pole_of, series_of
 from scipy.stats import chi2
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
 
-from modal_id.data.one_rate import longest_at_one_rate
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import longest_at_one_rate
 
 SLOW_HZ, FREQUENCY_HZ, ZETA, NOISE = 30.0, 110.0, 0.002, 0.005
 

@@ -4,20 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.series import LENGTH_MM, cantilever_shapes, series_of, station_series
+from kit.series import STATIONS_TRUTH as TRUTH
 from scipy.stats import chi2
-from support.many_channels import LENGTH_MM, TRUTH, cantilever_shapes, station_series
 
-from modal_id.data.prepare import prepare
-from modal_id.data.projection import project
-from modal_id.data.samples import rough_variance
-from modal_id.fit import repeating_errors
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.identify import identify
-from modal_id.modes.shapes import mac
-from modal_id.settings import IdentifySettings, SamplerSettings
-from tracker.position_errors import PositionErrors
-from tracker.results import DisplacementSeries
+from modal_id import IdentifySettings, SamplerSettings, identify
+from modal_id.data import prepare, project, rough_variance
+from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.modes import mac
+from tracker import PositionErrors
 
 FEW_STEPS = SamplerSettings(max_steps=100, check_steps=100)
 
@@ -173,14 +168,8 @@ def test_few_channels_and_noise_are_left_alone():
     many = prepare(station_series(60, 6)[0])
     assert project(many, 0) is many
     rng = np.random.default_rng(7)
-    noise = DisplacementSeries(
-        "noise",
-        np.arange(600) / 100.0,
-        tuple(f"s{i}" for i in range(40)),
-        rng.standard_normal((600, 40)),
-        np.ones((600, 40)),
-        "mm",
-        np.linspace(0.0, LENGTH_MM, 40),
+    noise = series_of(
+        np.arange(600) / 100.0, rng.standard_normal((600, 40)), "mm", 1.0, np.linspace(0.0, LENGTH_MM, 40)
     )
     assert project(prepare(noise), None).projection is None
     found = identify(noise)

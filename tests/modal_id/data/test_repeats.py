@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from support.ordinary_records import decay, repeated_end
+from kit.series import decay, repeated_end
 
-from modal_id.data.repeats import repeated_rows
+from modal_id.data import repeated_rows
 
 
 @pytest.mark.parametrize("repeats", [3, 6, 12])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from modal_id.data.samples import FitData
+from modal_id.data import FitData
 
 
 def test_averages_around_missing_samples_stand_at_the_time_of_the_others():

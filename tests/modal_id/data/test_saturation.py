@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from support.ordinary_records import decay
+from kit.series import decay
 
-from modal_id.data.saturation import last_saturated_row
+from modal_id.data import last_saturated_row
 
 T = np.arange(4000) / 500.0
 NOISE = 0.001 * np.random.default_rng(1).standard_normal(T.size)

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, pole_of, series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 NOISE = 0.007
 

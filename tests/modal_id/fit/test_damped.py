@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from kit.series import QUICK, pole_of, series_of
 from scipy.stats import chi2
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.posterior.cramer_rao import modal_bound
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.posterior import modal_bound
 
 SHAPE = np.array([1.0, 0.75, 0.4])
 SEEDS = 6

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+from kit.series import QUICK, pole_of, series_of
 from scipy.stats import chi2
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import damping_ratio, frequency_hz
+from modal_id import IdentifySettings, identify
+from modal_id.data import FitData
+from modal_id.fit import find_modes
+from modal_id.solve import damping_ratio, frequency_hz
 
 FPS, NOISE = 500.0, 0.004
 LONG = ((16.8, 3e-4, 0.3), (20.2, 3e-3, 0.28))

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
-from modal_id.solve.poles import damping_ratio, frequency_hz
+from modal_id.data import FitData
+from modal_id.fit import find_modes
+from modal_id.solve import damping_ratio, frequency_hz
 
 FPS, NOISE = 4000.0, 0.07
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.own_decay import own_decay
-from modal_id.solve.poles import frequency_hz, gauss_newton
+from modal_id.data import FitData
+from modal_id.fit import find_modes, own_decay
+from modal_id.solve import frequency_hz, gauss_newton
 
 NOISE_SD = 1e-4
 

@@ -7,22 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from modal_id.data.samples import FitData
-from modal_id.fit import repeating_errors
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.solve.poles import damping_ratio
-from tracker.position_errors import (
-    FORWARD_LAG,
-    FORWARD_LAG_SD,
-    LAG_SD,
-    LOSSLESS_SHARE,
-    SHRINKAGE,
-    SHRINKAGE_SD,
-    PositionErrors,
-)
+from modal_id.data import FitData
+from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.solve import damping_ratio
+from tracker import PositionErrors, position_errors
 
 FREQUENCY, ZETA, FPS = 23.7, 0.004, 500.0
+TUNING = position_errors.TUNING
 POLE = 2.0 * np.pi * FREQUENCY * complex(-ZETA, np.sqrt(1.0 - ZETA**2))
 SD_PX = 0.005
 RECORDS = 20
@@ -44,10 +35,10 @@ def errors(channels, *, periodic=0.0, shrinkage_sd=0.0, period_px=1.0, rest_px=0
 
 
 def predicted_errors(channels, *, forward=False):
-    lag, lag_sd = (FORWARD_LAG, FORWARD_LAG_SD) if forward else (0.0, LAG_SD)
+    lag, lag_sd = (TUNING.forward_lag, TUNING.forward_lag_sd) if forward else (0.0, TUNING.lag_sd)
     return replace(
-        errors(channels, shrinkage_sd=SHRINKAGE_SD),
-        shrinkage=np.full(channels, SHRINKAGE * SD_PX),
+        errors(channels, shrinkage_sd=TUNING.shrinkage_sd),
+        shrinkage=np.full(channels, TUNING.shrinkage * SD_PX),
         lag=np.full(channels, lag * SD_PX),
         lag_sd=np.full(channels, lag_sd * SD_PX),
         predicted=True,
@@ -95,8 +86,8 @@ def template_noise(share, rest_px=0.3):
     ("frames", "amplitude_px"), [(1500, 0.7), pytest.param(4000, 1.0, marks=pytest.mark.slow), (1500, 5.0)]
 )
 def test_template_noise_does_not_make_intervals_too_narrow(frames, amplitude_px):
-    known = errors(2, periodic=LOSSLESS_SHARE)
-    plain, free, wider = scores(frames, amplitude_px, known, template_noise(LOSSLESS_SHARE))
+    known = errors(2, periodic=TUNING.lossless_share)
+    plain, free, wider = scores(frames, amplitude_px, known, template_noise(TUNING.lossless_share))
     assert_calibrated(free, f"{frames} frames, {amplitude_px} px")
     # The data tell most of the error: what remains is at most as large as the noise.
     assert np.all((wider > 0.98) & (wider < 2.5)), f"the sd grows by {wider.min():.2f} to {wider.max():.2f}"
@@ -107,11 +98,11 @@ def test_template_noise_does_not_make_intervals_too_narrow(frames, amplitude_px)
 
 def test_more_frames_narrow_the_interval_only_as_far_as_the_error_is_known():
     """The error of one marker at 0.3 px looks like damping; the interval keeps what it could be."""
-    known = errors(1, periodic=LOSSLESS_SHARE)
+    known = errors(1, periodic=TUNING.lossless_share)
     quiet = errors(1)
     widths = []
     for frames in (1500, 6000):
-        wider = scores(frames, 0.7, known, template_noise(LOSSLESS_SHARE), records=8)[2]
+        wider = scores(frames, 0.7, known, template_noise(TUNING.lossless_share), records=8)[2]
         alone = scores(frames, 0.7, quiet, template_noise(0.0), records=2)[2]
         assert np.allclose(alone, 1.0, rtol=1e-6), "no error, no widening"
         widths.append(np.median(wider))
@@ -133,7 +124,7 @@ def test_errors_over_the_blocks_of_a_codec_do_not_make_intervals_too_narrow():
 
 
 @pytest.mark.parametrize(
-    "lost", [0.2, *(pytest.param(x, marks=pytest.mark.slow) for x in (SHRINKAGE, 1.0)), 1.5]
+    "lost", [0.2, *(pytest.param(x, marks=pytest.mark.slow) for x in (TUNING.shrinkage, 1.0)), 1.5]
 )
 def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
     """A dead zone of constant size takes the same from every amplitude, and all markers the same."""
@@ -146,7 +137,7 @@ def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
     plain, free, _ = scores(1500, 0.5, known, disturb)
     bias, left = np.mean(plain), np.max(np.abs(free))
     # The dead zone differs from the expected one by this many prior sd in all records; noise adds one.
-    off = abs(lost - SHRINKAGE) / SHRINKAGE_SD
+    off = abs(lost - TUNING.shrinkage) / TUNING.shrinkage_sd
     assert left < off + 3.5, f"off by {left:.1f} sd"
     assert abs(bias) > 10.0 * lost, f"without the error the damping is {bias:.1f} sd off only"
 
@@ -162,7 +153,7 @@ def test_what_predicted_frames_omit_on_average_changes_neither_damping_nor_frequ
     for seed in range(RECORDS):
         rng = np.random.default_rng([seed, 3])
         motion = 0.3 * np.exp(POLE * time + 2j * np.pi * rng.uniform())
-        size, sd = np.abs(motion), known.shrinkage_sd[0] / SHRINKAGE_SD
+        size, sd = np.abs(motion), known.shrinkage_sd[0] / TUNING.shrinkage_sd
         left = known.omitted(0, size * abs(np.exp(POLE / FPS) - 1.0), of_mean=True) * known.growth(0, size)
         lost = left * (known.shrinkage[0] * motion.real - known.lag[0] * motion.imag) / size
         values = motion.real - lost + sd * rng.standard_normal(time.size)
@@ -194,7 +185,7 @@ def test_the_lag_of_frames_predicted_from_earlier_ones_is_inside_the_interval_of
         poles = model.fit.poles[0], free.fit.poles[0]
         found.append([(pole - POLE).imag / np.sqrt(v) for pole, v in zip(poles, own, strict=True)])
     plain, corrected = np.array(found).T
-    off = abs(lag - FORWARD_LAG) / FORWARD_LAG_SD
+    off = abs(lag - TUNING.forward_lag) / TUNING.forward_lag_sd
     assert np.max(np.abs(corrected)) < off + 3.5, f"off by {np.max(np.abs(corrected)):.1f} sd"
     assert abs(np.mean(plain)) > 5.0, f"without the error the frequency is {np.mean(plain):.1f} sd off only"
 
@@ -236,7 +227,7 @@ def test_a_fast_motion_is_not_left_out(amplitude_px, most):
         return -SD_PX * lost * motion.real / np.abs(motion)
 
     _, free, wider = scores(1500, amplitude_px, known, disturb)
-    off = (1.0 - SHRINKAGE) / SHRINKAGE_SD
+    off = (1.0 - TUNING.shrinkage) / TUNING.shrinkage_sd
     assert np.max(np.abs(free)) < off + 3.5, f"off by {np.max(np.abs(free)):.1f} sd"
     # Two channels disagree by chance in some records, which widens their intervals.
     assert np.median(wider) < most, f"the sd grows by {np.median(wider):.2f}"

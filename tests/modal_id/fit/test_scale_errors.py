@@ -4,21 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.series import series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.results import DisplacementSeries
-from tracker.scale_change import ScaleChange
+from modal_id import IdentifySettings, identify
+from tracker import ScaleChange
 
 
 def test_an_error_of_the_scale_is_in_the_interval_of_the_damping_ratio():
     time_s = np.arange(1000) / 250.0
     omega, zeta, start_s = 66.0, 0.005, 100.0
     wave = 3.0 * np.exp(-zeta * omega * time_s) * np.cos(omega * time_s)
-    values = (wave + 0.02 * np.random.default_rng(2).standard_normal(1000))[:, None]
-    series = DisplacementSeries(
-        "decay", start_s + time_s, ("m1",), values, np.full(values.shape, 0.02), "px", np.array([np.nan])
-    )
+    values = wave + 0.02 * np.random.default_rng(2).standard_normal(1000)
+    series = series_of(start_s + time_s, values, sd=0.02)
     # The coefficients of a straight line are proportional to the means of three knots.
     knots = start_s + np.repeat([0.0, time_s[-1]], 4)
     slope_per_s = 0.005

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
-from modal_id.fit.candidates import _largest_significant
-from modal_id.fit.spectrum import ResidualSpectrum, least_level, local_level, mean_per_median
+from modal_id.fit import ResidualSpectrum, largest_significant, least_level, local_level, mean_per_median
 
 THRESHOLD = 12.0
 
@@ -28,7 +27,7 @@ def test_the_level_and_its_bound_against_running_medians(size):
         excess = power / expected * channels
         lines = np.where(look & (excess > THRESHOLD), power, 0.0)
         spectrum = ResidualSpectrum(0.1 * np.arange(size), power, THRESHOLD, channels)
-        peak, score = _largest_significant(spectrum, look)
+        peak, score = largest_significant(spectrum, look)
         if np.any(lines > 0.0):
             assert peak == np.argmax(lines)
             assert score == excess[peak] / THRESHOLD

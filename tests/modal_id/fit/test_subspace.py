@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import PAPER_HZ, dirty, one_mode
+from kit.series import PAPER_HZ, dirty, one_mode
 
-from modal_id.data.prepare import prepare
-from modal_id.data.samples import FitData
-from modal_id.fit.model_order import find_modes
-from modal_id.fit.subspace import stability_diagram
-from modal_id.solve.poles import damping_ratio, frequency_hz
+from modal_id.data import FitData, prepare
+from modal_id.fit import find_modes, stability_diagram
+from modal_id.solve import damping_ratio, frequency_hz
 
 
 def model_of(series):

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from modal_id.modes.combine import between_interval, combine
-from modal_id.modes.shapes import mpc
+from modal_id.modes import between_interval, combine, mpc
 
 
 def test_consistent_values_give_the_weighted_mean():

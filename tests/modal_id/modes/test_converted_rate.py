@@ -5,13 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.sampling import QUICK
+from kit.series import QUICK, series_of
 
 from benchmarks.converted_rates import ConvertedCase, answer, cases, outcome
-from modal_id.flags import ModeFlag
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, ModeFlag, identify
 
 FLAG = ModeFlag.RATE_CONVERTED.name
 AT_ONCE = IdentifySettings(onset_s=0.0, sampler=QUICK)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from modal_id.modes.curvature import Curvature, NoCurvature, beam_curvature
+from modal_id.modes import Curvature, beam_curvature
+from tracker import Failure
 
 LENGTH = 500.0
 STATIONS = 10.0 + 480.0 * (np.arange(44) + 0.5) / 44
@@ -106,7 +107,7 @@ def test_without_known_ends_there_is_a_reason():
         (np.full(44, np.nan), LENGTH, "unknown"),
     ):
         found = beam_curvature(places, shape, sd, length)
-        assert isinstance(found, NoCurvature)
+        assert isinstance(found, Failure)
         assert not found
         assert word in found.reason
     few = np.arange(4, 44, 9)

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.sampling import QUICK
+from kit.series import QUICK, series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 FPS, FREQUENCY_HZ, PLUCK_S = 125.0, 12.0, 6.0
 ZETA_SMALL, ZETA_LARGE = 0.003, 0.008

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import clamped_free_shapes, pole_of, series_of
+from kit.series import clamped_free_shapes, pole_of, series_of
 
-from modal_id.identify import identify
-from modal_id.modes.numbering import choose_target
-from modal_id.settings import IdentifySettings, SamplerSettings
+from modal_id import IdentifySettings, SamplerSettings, identify
+from modal_id.modes import choose_target
 
 THEORY_HZ = (1.876, 10.58, 29.26, 57.15, 94.34)
 TRUE_HZ = {2: 10.19, 4: 53.2}

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import one_mode, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, one_mode, series_of
 
-from modal_id.identify import identify
-from modal_id.modes.line_effect import line_effect
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.modes import line_effect
 
 AMPLITUDE = 0.02
 

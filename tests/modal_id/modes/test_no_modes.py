@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
-from support.ordinary_records import decay
+from kit.series import decay, series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.results import DisplacementSeries, PositionErrors
+from modal_id import IdentifySettings, identify
+from tracker import PositionErrors
 
 RATE_HZ, SPAN_S = 500.0, 6.0
 F_HZ, ZETA = 11.3, 0.004
@@ -13,18 +12,7 @@ TIME_S = np.arange(int(RATE_HZ * SPAN_S)) / RATE_HZ
 
 def _found(y, errors=None, settings=None):
     y = y + 0.01 * np.random.default_rng(1).standard_normal(y.size)
-    n = (y.size, 1)
-    series = DisplacementSeries(
-        name="record",
-        time_s=TIME_S,
-        channels=("a",),
-        values=y.reshape(n),
-        sd=np.full(n, np.nan),
-        unit="px",
-        positions_mm=np.array([np.nan]),
-        position_errors=errors,
-    )
-    found = identify(series, settings)
+    found = identify(series_of(TIME_S, y, position_errors=errors), settings)
     assert found, found
     return found
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from kit.series import cantilever_shapes
 from scipy.stats import chi2
-from support.many_channels import cantilever_shapes
 
-from modal_id.modes.nodes import find_nodes
+from modal_id.modes import find_nodes
 
 # Blevins, Formulas for natural frequency and mode shape, table 8-1: distances from the clamp over the length.
 NODES = {1: (), 2: (0.7834,), 3: (0.5035, 0.8677), 4: (0.3583, 0.6442, 0.9056)}

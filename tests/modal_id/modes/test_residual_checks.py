@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import one_mode, pole_of, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, one_mode, pole_of, series_of
 
-from modal_id.identify import identify
-from modal_id.modes.residual_checks import residual_checks
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.modes import residual_checks
 
 LINE, MEMORY, DRIFT, SCORE, TAILS = range(5)
 

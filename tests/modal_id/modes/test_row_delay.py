@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.sampling import QUICK
-from support.sim_decays import identification
+from kit.identified import identification
+from kit.series import QUICK, series_of
 
-from modal_id.identify import identify
-from modal_id.modes.row_delay import readout_note, row_delay
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.modes import readout_note, row_delay
 
 FPS, HEIGHT, CHANNELS = 250.0, 480, 24
 ROWS = np.linspace(450.0, 40.0, CHANNELS)

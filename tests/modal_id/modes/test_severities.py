@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from kit.series import QUICK, pole_of, series_of
 from scipy.signal import lfilter
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.severity import Severity
+from modal_id import IdentifySettings, identify
+from tracker import Severity
 
 
 def target_of(time_s, values):

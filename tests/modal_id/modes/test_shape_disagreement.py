@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import pole_of, series_of
-from support.sampling import QUICK
+from kit.series import QUICK, pole_of, series_of
 
-from modal_id.flags import ModeFlag
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.reference.paper_beam import paper_beam
-from tracker.severity import Severity
+from modal_id import IdentifySettings, ModeFlag, identify
+from sim import paper_beam
+from sim.beam import AncfBeam, beam_modes
+from tracker import Severity
 
 MODES = beam_modes(AncfBeam(paper_beam()), 8)
 LENGTH_M = 0.5

@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.ordinary_records import decay
-from support.sampling import QUICK
+from kit.series import QUICK, decay, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.pieces.change_of_motion import change_of_motion
-from modal_id.pieces.misfit import misfit
-from modal_id.settings import IdentifySettings
-from tracker.position_errors import PositionErrors
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.pieces import change_of_motion, misfit
+from tracker import PositionErrors
 
 T = np.arange(3000) / 200.0
 # Two modes as close as two cycles of the slower cannot separate.

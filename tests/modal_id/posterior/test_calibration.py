@@ -8,15 +8,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from kit.series import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
 from scipy.stats import binom, chi2
-from support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.identify import identify
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.settings import IdentifySettings
-from modal_id.solve.poles import frequency_hz
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.posterior import determine_mode
+from modal_id.solve import frequency_hz
 
 LEVELS = (0.5, 0.9, 0.99)
 
@@ -82,7 +81,15 @@ def cover(seeds, posterior):
     return errors
 
 
-def check_white(seeds, posterior):
+@pytest.mark.parametrize(
+    ("seeds", "posterior"),
+    [
+        (range(5), partial(integrated, modes=1)),
+        pytest.param(range(200, 280), sampled, marks=pytest.mark.slow),
+    ],
+    ids=["integrated", "sampled"],
+)
+def test_white_noise_reaches_the_bound_unbiased_and_covers(seeds, posterior):
     errors = cover(seeds, posterior)
     n = len(seeds)
     # The sum of n squared errors over the bound is chi-square; the baseline raises the error of mode 1 by up to 10 %.
@@ -95,22 +102,18 @@ def check_white(seeds, posterior):
     assert np.all(np.abs(mean) < 4.2), f"biased: mean error over its standard error {mean.round(1)}"
 
 
-def test_white_noise_reaches_the_bound_unbiased_and_covers():
-    check_white(range(5), partial(integrated, modes=1))
-
-
-@pytest.mark.slow
-def test_white_noise_reaches_the_bound_unbiased_and_covers_400():
-    check_white(range(200, 280), sampled)
-
-
 # In percent. The Cramer-Rao bound of mode 4 is 0.104 % in this noise: 0.079 % in white noise times 1.32, the amplitude
 # ratio of AR(1) 0.9 to white noise at 53 Hz. The rms errors of the other modes are 0.24, 0.18, 0.13 and 0.10 % over 500
 # records.
 LIMIT_PERCENT = np.array([0.30, 0.20, 0.15, 0.12, 0.12])
 
 
-def check_disturbed(seeds, posterior):
+@pytest.mark.parametrize(
+    ("seeds", "posterior"),
+    [(range(2), partial(integrated, modes=2)), pytest.param(range(40), sampled, marks=pytest.mark.slow)],
+    ids=["integrated", "sampled"],
+)
+def test_disturbed_records(seeds, posterior):
     for mode in range(5):
         medians = [posterior(dirty(mode, seed), mode, seed)[1](0.5) for seed in seeds]
         errors = [100.0 * (median / PAPER_ZETA[mode] - 1.0) for median in medians]
@@ -119,12 +122,3 @@ def check_disturbed(seeds, posterior):
         assert rms < allowed, (
             f"mode {mode + 1}: zeta rms error {rms:.2f} % on disturbed records, {allowed:.2f} allowed"
         )
-
-
-def test_disturbed_records():
-    check_disturbed(range(2), partial(integrated, modes=2))
-
-
-@pytest.mark.slow
-def test_disturbed_records_many():
-    check_disturbed(range(40), sampled)

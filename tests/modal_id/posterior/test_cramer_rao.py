@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal_id.posterior.cramer_rao import modal_bound
+from modal_id.posterior import modal_bound
 
 TIME_S = np.arange(1500) / 500.0
 F, ZETA, SD = 12.0, 0.006, 0.02

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.modal_decays import PAPER_HZ, PAPER_ZETA, pole_of, series_of
+from kit.series import PAPER_HZ, PAPER_ZETA, pole_of, series_of
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 PPM = 1000.0
 MODES = (1, 2)

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import dirty, pole_of, series_of
+from kit.series import dirty, pole_of, series_of
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes, refit
-from modal_id.posterior.likelihood import TiledLikelihood, reduce_mode
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.solve.linear import solve_linear
-from modal_id.solve.waves import ModeColumns, mode_functions
+from modal_id.data import prepare
+from modal_id.fit import find_modes, refit
+from modal_id.posterior import TiledLikelihood, determine_mode, reduce_mode
+from modal_id.solve import ModeColumns, mode_functions, solve_linear
 
 
 def test_reduced_density_equals_that_of_all_samples():

@@ -1,12 +1,10 @@
 """Records in which the amplitude hardly decreases: damping ratio at their amplitudes, and at small amplitude."""
 
 import numpy as np
+from kit.series import QUICK, series_of
 from scipy.stats import chi2
-from support.modal_decays import series_of
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
 
 SEEDS = range(10)
 FREQUENCY_HZ, ZETA = 32.0, 3.5e-4

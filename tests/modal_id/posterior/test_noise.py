@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
-from support.modal_decays import PAPER_HZ, one_mode
+from kit.series import PAPER_HZ, one_mode
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.model_order import find_modes
-from modal_id.posterior.noise import noise_level
-from modal_id.solve.poles import frequency_hz
+from modal_id.data import prepare
+from modal_id.fit import find_modes, fit_amplitude_dependence
+from modal_id.posterior import noise_level
+from modal_id.solve import frequency_hz
 
 
 @pytest.mark.parametrize(("mode", "ar"), [(0, 0.0), (4, 0.0), (0, 0.9), (2, 0.9)])

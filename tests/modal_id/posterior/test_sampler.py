@@ -3,15 +3,13 @@
 import emcee
 import numpy as np
 import pytest
+from kit.series import one_mode
 from scipy.special import stdtrit
-from support.modal_decays import one_mode
 
-from modal_id.data.prepare import prepare
-from modal_id.fit.model_order import find_modes
-from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.posterior.proposal import polar_proposal
-from modal_id.posterior.sampler import autocorrelation_times, sample
-from modal_id.settings import SamplerSettings
+from modal_id import SamplerSettings
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.posterior import autocorrelation_times, determine_mode, polar_proposal, sample
 
 
 @pytest.fixture(scope="module")

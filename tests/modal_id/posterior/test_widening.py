@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal_id.posterior.widening import widened
+from modal_id.posterior import widened
 
 N = 20_000
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from support.ordinary_records import decay
-from support.random_records import random_record
+from kit.random_records import random_record
+from kit.series import decay
 
-from modal_id.data.prepare import prepare
-from modal_id.data.samples import FitData, rough_variance
-from modal_id.segments.divide import divide
+from modal_id.data import FitData, prepare, rough_variance
+from modal_id.segments import divide
 
 
 def test_a_motion_that_decays_after_a_long_disturbance_was_driven_before():

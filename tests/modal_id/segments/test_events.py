@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support.ordinary_records import decay
+from kit.series import decay
 
-from modal_id.data.samples import FitData
-from modal_id.segments.events import find_events
-from modal_id.segments.spikes import without_spikes
+from modal_id.data import FitData
+from modal_id.segments import find_events, without_spikes
 
 
 @pytest.mark.parametrize("seed", range(3, 6))

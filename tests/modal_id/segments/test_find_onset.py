@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from support.modal_decays import (
+from kit.series import (
     PAPER_HZ,
     PAPER_ZETA,
     base_stopped_dead,
@@ -10,11 +10,9 @@ from support.modal_decays import (
     shaken_then_free,
 )
 
-from modal_id.data.prepare import prepare, with_base
-from modal_id.data.samples import rough_variance
-from modal_id.identify import identify
-from modal_id.segments.divide import divide
-from modal_id.settings import IdentifySettings
+from modal_id import IdentifySettings, identify
+from modal_id.data import prepare, rough_variance, with_base
+from modal_id.segments import divide
 
 slow = pytest.mark.slow
 # mode, amplitude, noise, fps, duration, shaking
@@ -57,27 +55,6 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     low, high = target.damping_interval(0.999)
     assert low < PAPER_ZETA[mode] < high
     assert np.all(np.isnan(found.fitted[series.time_s < onset.fit_from_s]))
-
-
-def test_onset_of_a_decay_is_the_first_sample():
-    series, _ = one_mode(2, 1, fps=500.0, duration_s=5.0)
-    found = identify(series, IdentifySettings())
-    assert found.onset.source == "record start"
-    assert found.onset.fit_from_s == 0.0
-
-
-def test_release_after_rest():
-    decay, sd = one_mode(1, 5, fps=500.0, duration_s=6.0)
-    rng = np.random.default_rng(0)
-    quiet = sd * rng.standard_normal(400)
-    values = np.concatenate([quiet, decay.values[:, 0]])
-    series = series_of(np.arange(values.size) / 500.0, values)
-    found = identify(series, IdentifySettings())
-    assert found.onset.source == "peak"
-    # The largest sample of the first cycles is within one cycle of the release.
-    assert found.onset.time_s == pytest.approx(0.8, abs=1.0 / PAPER_HZ[1])
-    low, high = found.target.damping_interval(0.999)
-    assert low < PAPER_ZETA[1] < high
 
 
 def test_onset_from_the_user_takes_precedence():
@@ -183,5 +160,5 @@ def test_note_on_a_record_that_is_driven_throughout():
 def test_note_on_a_record_that_is_a_free_decay_throughout():
     series, sd = one_mode(2, 1, fps=500.0, duration_s=5.0)
     onset = divide(prepare(series).data, np.array([sd**2]), 0.0, None).decays[0].onset
-    assert onset.source == "record start"
+    assert (onset.source, onset.fit_from_s) == ("record start", 0.0)
     assert "decays freely from the first sample" in onset.note

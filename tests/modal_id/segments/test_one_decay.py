@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import pole_of
+from kit.series import pole_of
 
-from modal_id.data.samples import FitData
-from modal_id.segments.envelope import short_time
-from modal_id.segments.one_decay import may_be_two_decays
+from modal_id.data import FitData
+from modal_id.segments import may_be_two_decays, short_time
 
 HZ, ZETA, NOISE = 12.0, 0.003, 0.02
 TIME_S = np.arange(6000) / 150.0

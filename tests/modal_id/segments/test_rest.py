@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import series_of
-from support.ordinary_records import decay
+from kit.series import decay, series_of
 
-from modal_id.data.samples import FitData, rough_variance
-from modal_id.identify import identify
-from modal_id.segments.rest import rest_until
+from modal_id import identify
+from modal_id.data import FitData, rough_variance
+from modal_id.segments import rest_until
 
 FPS, HZ, ZETA, NOISE = 15000.0, 700.0, 0.0046, 0.02
 T = np.arange(3750) / FPS

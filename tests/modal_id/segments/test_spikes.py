@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.ordinary_records import decay
+from kit.series import decay
 
-from modal_id.data.samples import FitData
-from modal_id.segments.spikes import without_spikes
+from modal_id.data import FitData
+from modal_id.segments import without_spikes
 
 NOISE = 0.02
 

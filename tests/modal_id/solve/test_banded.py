@@ -4,14 +4,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from kit.series import QUICK, series_of
 from scipy.sparse import csr_array
-from support.modal_decays import series_of
-from support.sampling import QUICK
 
-from modal_id.identify import identify
-from modal_id.results import Identification
-from modal_id.settings import IdentifySettings
-from modal_id.solve.banded import BandedFactor, normal_band
+from modal_id import Identification, IdentifySettings, identify
+from modal_id.solve import BandedFactor, normal_band
 
 
 @pytest.mark.parametrize("reach", [1, 3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from modal_id.solve.dense import cholesky, pseudo_inverse, solve
+from modal_id.solve import cholesky, pseudo_inverse, solve
 
 
 @pytest.mark.parametrize("size", [1, 2, 4, 10, 40])

@@ -2,11 +2,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from modal_id.data.baseline import baseline_matrix
-from modal_id.data.samples import FitData
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.poles import damping_ratio, frequency_hz, pole
-from modal_id.solve.waves import ModeColumns, mode_functions
+from modal_id.data import FitData, baseline_matrix
+from modal_id.solve import (
+    ModeColumns,
+    Problem,
+    damping_ratio,
+    frequency_hz,
+    mode_functions,
+    pole,
+    solve_linear,
+)
 
 
 def test_eq_1_solves_the_equation_of_motion():

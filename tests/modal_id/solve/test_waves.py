@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from modal_id.data.baseline import baseline_splines
-from modal_id.data.samples import FitData
-from modal_id.fit.amplitude_dependence import nonlinear_decay
-from modal_id.solve.linear import Problem, solve_linear
-from modal_id.solve.waves import ModeColumns
+from modal_id.data import FitData, baseline_splines
+from modal_id.fit import nonlinear_decay
+from modal_id.solve import ModeColumns, Problem, solve_linear
 
 POLES = np.array([-0.01 + 40.0j, -0.02 + 95.0j])
 ROWS = [slice(None), slice(4000, 9000), slice(511, 1025), np.array([7, 260_000, 3, 4096])]

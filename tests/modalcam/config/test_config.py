@@ -4,18 +4,26 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.beams import experiment
 from pydantic import ValidationError
 
-from modalcam.config.resolve import beam_properties, updating_settings
-from modalcam.config.schema import BeamConfig, ExperimentConfig
-from modalcam.config.toml import dump_config, load_config, parse_config
-from modalcam.errors import ConfigError
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modalcam.common import ConfigError
+from modalcam.config import (
+    BeamConfig,
+    CameraConfig,
+    ExperimentConfig,
+    beam_properties,
+    dump_config,
+    load_config,
+    parse_config,
+    updating_settings,
+)
+from sim.beam import AncfBeam, beam_modes
 from sim.updating import UpdatingSettings
-from tracker.settings_base import parse_fps, write_fps
+from tracker import parse_fps, write_fps
 
-EXAMPLE = """
+EXAMPLE = experiment(
+    """
 [camera]
 fps = 1000.0
 mm_per_px = 1.0
@@ -27,20 +35,11 @@ size_mm = 12.0
 positions_mm = [2.0, 90.0, 190.0, 290.0, 390.0, 490.0]
 points_px = [[300.0, 120.0]]
 reference = []
-[beam]
-length_mm = 500.0
-width_mm = 5.0
-thickness_mm = 0.5
-density_kg_m3 = 8000.0
-elastic_modulus_mpa = 210000.0
-orientation = "hanging"
-elements = 20
-[[recordings]]
-file = "take_a.avi"
-mode = 1
-fps = 250.0
-onset_s = 0.40
-"""
+""",
+    '[[recordings]]\nfile = "take_a.avi"\nmode = 1\nfps = 250.0\nonset_s = 0.40\n',
+    orientation='"hanging"',
+    elements=20,
+)
 
 
 @pytest.fixture
@@ -136,7 +135,7 @@ def test_decimal_rates_are_exact():
 def test_the_command_line_rate_overrides_the_file():
     config = parse_config(
         {"camera": {"fps": 100}, "recordings": [{"file": "a", "fps": 5}]}, where="test"
-    ).with_fps(Fraction(2000))
+    ).with_camera(CameraConfig(fps=2000))
     assert config.for_recording("a").fps == config.for_recording("b").fps == 2000
 
 

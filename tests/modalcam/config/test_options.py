@@ -6,11 +6,19 @@ import pytest
 from pydantic import Field
 from support.paths import ROOT
 
-from modalcam.config.reference import commented_toml, markdown, option, sections, toml_value
-from modalcam.config.schema import CameraConfig, ExperimentConfig
-from modalcam.config.toml import dump_config, parse_config
-from modalcam.errors import ConfigError
-from tracker.settings_base import Positive
+from modalcam.common import ConfigError
+from modalcam.config import (
+    CameraConfig,
+    ExperimentConfig,
+    commented_toml,
+    dump_config,
+    markdown,
+    option,
+    parse_config,
+    sections,
+    toml_value,
+)
+from tracker import Positive
 
 OPTIONS = [(section, o) for section in sections() for o in section.options()]
 NAMES = [f"{o.section}.{o.key}" for _, o in OPTIONS]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from modalcam.errors import ExitCode, InputError, NoInputError
-from modalcam.inputs.discover import discover
+from modalcam.common import ExitCode, InputError, NoInputError
+from modalcam.inputs import discover
 
 
 def test_recordings_in_natural_order_and_in_folders(tmp_path):

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from modalcam.errors import InputError
-from modalcam.inputs.series import series_from_table
-from modalcam.inputs.table import read_table
+from modalcam.common import InputError
+from modalcam.inputs import read_table, series_from_table
 
 TIME_S = np.arange(40) / 250.0
 MOTION = np.round(np.random.default_rng(4).standard_normal((40, 2)), 6)

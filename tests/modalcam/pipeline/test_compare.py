@@ -1,23 +1,18 @@
 """Saved comparisons are reused only for the same identification."""
 
 import csv
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs
+from kit import runs as report_runs
+from kit.beams import experiment
 
-from modalcam import cli
-from modalcam.config.schema import ExperimentConfig
-from modalcam.pipeline.compare import compare_recordings
-from modalcam.pipeline.stage import Context
-from modalcam.storage.output_folder import Workspace
-from modalcam.video.results import NoFootage
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.comparison import FailedComparison
-from sim.reference.paper_beam import paper_beam
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import Context, Workspace, compare_recordings
+from sim import paper_beam
+from sim.beam import AncfBeam, beam_modes
+from tracker import Failure
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 
@@ -37,24 +32,15 @@ def two_modes_table(path):
     np.savetxt(path, table, "%.9g", ",", header="time_s,a,b,c,d,e", comments="")
 
 
-def call(monkeypatch, *args):
-    monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
-    with pytest.raises(SystemExit) as info:
-        cli.main()
-    return info.value.code or 0
-
-
 @pytest.mark.usefixtures("in_process", "no_figures")
-def test_another_target_in_the_same_folder_is_compared_again(monkeypatch, tmp_path):
+def test_another_target_in_the_same_folder_is_compared_again(modalcam, tmp_path):
     two_modes_table(tmp_path / "two.csv")
-    (tmp_path / "c.toml").write_text(
-        "[markers]\npositions_mm = [90.0, 190.0, 290.0, 390.0, 490.0]\n[beam]\nlength_mm = 500.0\nwidth_mm = 5.0\n"
-        "thickness_mm = 0.5\ndensity_kg_m3 = 8000.0\nelastic_modulus_mpa = 210000.0\nelements = 6\n"
-        # more models would only take more time
-        '[damping]\nmodels = ["generic"]\n'
-    )
+    markers = "[markers]\npositions_mm = [90.0, 190.0, 290.0, 390.0, 490.0]\n"
+    # more models would only take more time
+    models = '[damping]\nmodels = ["generic"]\n'
+    (tmp_path / "c.toml").write_text(experiment(markers, models, elements=6))
     for mode, zeta in [(2, 0.004), (3, 0.005)]:
-        args = [
+        args = (
             "identify",
             tmp_path / "two.csv",
             "-o",
@@ -63,8 +49,8 @@ def test_another_target_in_the_same_folder_is_compared_again(monkeypatch, tmp_pa
             tmp_path / "c.toml",
             "--unit",
             "mm",
-        ]
-        assert call(monkeypatch, *args, "--mode", mode, "--onset-s", 0) == 0
+        )
+        assert modalcam(*args, "--mode", mode, "--onset-s", 0)[0] == 0
         with (tmp_path / "out" / "comparison.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert {int(row["mode"]) for row in rows} == {mode}
@@ -80,22 +66,21 @@ def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
     other = replace(recording, name="other")
     ends = {
         recording.name: report_runs.comparison(recording.identification),
-        "other": FailedComparison("other", "no"),
+        "other": Failure("no", "other"),
     }
 
     def both(context, recordings, *_):
         for one in recordings:
             context.results[one.name] = {"comparison": "key", "simulated": "key"}
         return [
-            replace(one, comparison=ends[one.name], simulated_footage=NoFootage(one.name, ""))
-            for one in recordings
+            replace(one, comparison=ends[one.name], added={"simulated": Failure("")}) for one in recordings
         ]
 
     monkeypatch.setattr("modalcam.pipeline.compare.each_together", both)
     context = Context(ExperimentConfig(), Workspace(tmp_path), None, None, seed=0, force=False)
     (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result(elements=6))
-    assert kept.simulated_footage is not None
-    assert dropped.simulated_footage is None
+    assert "simulated" in kept.added
+    assert "simulated" not in dropped.added
     assert context.results == {
         recording.name: {"comparison": "key", "simulated": "key"},
         "other": {"comparison": "key"},

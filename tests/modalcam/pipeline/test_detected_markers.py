@@ -1,10 +1,10 @@
 """A failure names the markers that the program chose itself."""
 
 import numpy as np
-from support.modal_decays import series_of
+from kit.series import series_of
 
-from modal_id.settings import IdentifySettings
-from modalcam.pipeline.identify import identify_series
+from modal_id import IdentifySettings
+from modalcam.pipeline import identify_series
 
 
 def test_a_failure_names_markers_that_nobody_chose():

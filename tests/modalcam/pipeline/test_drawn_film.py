@@ -3,14 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from support import tracker_media as media
-from support.sampling import QUICK
+from kit import films as media
+from kit.series import QUICK
 
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from tracker import TrackerSettings, displacement_series, track
 
 FPS, HZ, ZETA = 200.0, 10.0, 0.004
 COLUMNS_PX, SHAPE, ROW_PX, RADIUS_PX = (60, 160, 260, 360, 450), (0.1, 0.3, 0.5, 0.8, 1.0), 60.0, 8
@@ -30,7 +27,7 @@ def film(folder, amplitude_px, *, background, smooth, frames=600):
             cv2.circle(image, centre, RADIUS_PX * one, 20, -1, line, SHIFT)
     path = folder / "drawn.mkv"
     media.write(path, images, codec="ffv1")
-    return track(path, TrackerSettings(kind="auto", fps=FPS))
+    return track(path, TrackerSettings(kind="blob", fps=FPS, exposure_s=1e-5))
 
 
 @pytest.mark.parametrize("background", [pytest.param(200, marks=pytest.mark.slow), 255])

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.pipeline.identify import correct_amplitudes
+from modalcam.pipeline import correct_amplitudes
 
 
 def test_the_amplitude_is_corrected_and_the_shape_is_not():

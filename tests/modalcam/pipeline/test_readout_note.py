@@ -1,11 +1,10 @@
 """The stage of the identification names a rolling shutter that the configuration does not state."""
 
 import numpy as np
-from support.modal_decays import series_of
-from support.sampling import QUICK
+from kit.series import QUICK, series_of
 
-from modal_id.settings import IdentifySettings
-from modalcam.pipeline.identify import ImageRows, identify_series
+from modal_id import IdentifySettings
+from modalcam.pipeline import ImageRows, identify_series
 
 
 def test_the_note_is_that_of_rows_whose_readout_is_not_given():

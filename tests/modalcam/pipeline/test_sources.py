@@ -1,7 +1,6 @@
 """Recordings of the same content are named: they are one measurement."""
 
-from modalcam.pipeline.results import RecordingResult
-from modalcam.pipeline.sources import duplicates
+from modalcam.pipeline import RecordingResult, duplicates
 
 
 def test_recordings_of_the_same_content_are_named_once():

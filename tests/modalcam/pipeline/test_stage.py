@@ -6,14 +6,23 @@ import pytest
 from support.worker_tasks import Inline, counted
 
 from modalcam import plugins
-from modalcam.config.schema import ExperimentConfig
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import WorkerPool, worker_pool
-from modalcam.pipeline.results import RUN, RecordingResult, RunResult
-from modalcam.pipeline.stage import Context, InputFile, Stage, run_together
-from modalcam.storage.output_folder import RunRecord, Workspace
-from sim.reference.paper_beam import paper_beam
-from tracker.results import FailedTracking
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import (
+    RUN,
+    Context,
+    InputFile,
+    Limits,
+    RecordingResult,
+    RunRecord,
+    RunResult,
+    Stage,
+    WorkerPool,
+    Workspace,
+    run_together,
+    worker_pool,
+)
+from sim import paper_beam
+from tracker import FailedTracking
 
 
 class Listener:
@@ -35,6 +44,10 @@ class Listener:
         self.calls.append(text)
 
 
+def not_tracked(name, reason):
+    return FailedTracking(reason, name)
+
+
 def scaled(recording, factor):
     if factor < 0:
         msg = "negative factor"
@@ -42,7 +55,7 @@ def scaled(recording, factor):
     return (recording.name, factor)
 
 
-SCALING = Stage("scaling", "scaled", ("modalcam.names",), scaled, FailedTracking)
+SCALING = Stage("scaling", "scaled", ("modalcam.common",), scaled, not_tracked)
 
 
 @pytest.fixture
@@ -116,7 +129,7 @@ class Noticing(Listener):
 
 def test_the_frames_of_a_task_are_reported_while_it_goes_on(context, tmp_path):
     seen = tmp_path / "seen"
-    stage = Stage("counting", "counted", ("modalcam.names",), counted, FailedTracking, counts_frames=True)
+    stage = Stage("counting", "counted", ("modalcam.common",), counted, not_tracked, counts_frames=True)
     with worker_pool(1) as pool:
         live = replace(context, pool=pool, progress=Noticing(seen))
         given = {"recording": InputFile(tmp_path / "a.avi", "00"), "seen": str(seen)}
@@ -149,7 +162,7 @@ def test_a_change_of_any_input_computes_the_result_again(context, tmp_path, monk
     if change == "content":
         given = inputs(tmp_path, recording=InputFile(tmp_path / "a.avi", "01"))
     elif change == "code":
-        stage = Stage("scaling", "scaled", ("modalcam.errors",), scaled, FailedTracking)
+        stage = Stage("scaling", "scaled", ("modalcam.plugins",), scaled, not_tracked)
     elif change == "plugin":
         monkeypatch.setitem(plugins._LOADED, "a_plugin", "0" * 64)
     else:
@@ -163,7 +176,7 @@ def test_a_failed_task_gives_a_falsy_result_that_is_not_saved(context, tmp_path)
     context = Context(**vars(context) | {"pool": WorkerPool(broken.submit, Limits())})
     result = SCALING.run(context, inputs(tmp_path, factor=-1.0))
     assert result["a"] == FailedTracking(
-        "a", "internal error, please report it: RuntimeError: negative factor"
+        "internal error, please report it: RuntimeError: negative factor", "a"
     )
     assert result["b"]
     assert list(context.results) == ["b"]
@@ -172,7 +185,7 @@ def test_a_failed_task_gives_a_falsy_result_that_is_not_saved(context, tmp_path)
 
 
 def test_a_stage_of_the_run_has_one_result(context):
-    stage = Stage("beam", "beam", ("sim",), paper_beam, FailedTracking)
+    stage = Stage("beam", "beam", ("sim",), paper_beam, not_tracked)
     for expected in ("computed", "reused"):
         assert stage.once(context, orientation="hanging").orientation == "hanging"
         assert context.progress.calls[-1] == ("beam", expected)
@@ -180,7 +193,7 @@ def test_a_stage_of_the_run_has_one_result(context):
 
 
 def test_results_have_short_reprs_and_are_loaded_on_first_use():
-    failed = RecordingResult("a", "a.avi", "", None, tracks=FailedTracking("a.avi", "no marker"))
+    failed = RecordingResult("a", "a.avi", "", None, tracks=FailedTracking("no marker", "a.avi"))
     assert failed.failure == "no marker"
     assert repr(failed) == "<RecordingResult a: no marker>"
     loads = []

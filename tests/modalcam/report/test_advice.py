@@ -8,8 +8,8 @@ import typer
 from pydantic import BaseModel
 from support.paths import ROOT
 
-from modalcam.cli.app import app
-from modalcam.config.schema import ExperimentConfig
+from modalcam.cli import app
+from modalcam.config import ExperimentConfig
 
 ADVICE = re.compile(
     r"\b(?:give|set|raise|lower|increase|reduce|decrease|choose|use|add|mark)\b[^.;]*", re.IGNORECASE

@@ -4,10 +4,10 @@ import csv
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.report.figure_files import write_figures
-from modalcam.report.figures.registry import FIGURES
+from modalcam.report import write_figures
+from modalcam.report.figures import FIGURES
 
 KEYS = ("damping", "envelope", "tracking")
 
@@ -15,7 +15,7 @@ KEYS = ("damping", "envelope", "tracking")
 @pytest.fixture
 def few(monkeypatch):
     """Three kinds of figures, which hold lines, dots, error bars and bars."""
-    monkeypatch.setattr("modalcam.report.figure_files.FIGURES", {key: FIGURES[key] for key in KEYS})
+    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {key: FIGURES[key] for key in KEYS})
 
 
 def rows(path):

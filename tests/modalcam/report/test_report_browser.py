@@ -2,27 +2,16 @@
 
 import json
 import re
-import shutil
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from support import report_runs as runs
+from kit import runs
+from support.browser import NEEDS_CHROMIUM, assert_drawn, opening, text_brightness
 
-from modalcam.export.summary import summary
-from modalcam.paper import page as paper
-from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
-from modalcam.paper.simulated_truth import Truth
-from modalcam.pipeline.results import RecordingResult
-from modalcam.video.results import KeptFrames, SimulatedFootage
+from modalcam.tables import summary
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None,
-    reason="no Chromium: install Debian's package chromium or chromium-headless-shell",
-)
+pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.fixture(scope="module")
@@ -33,56 +22,6 @@ def one_result():
 @pytest.fixture(scope="module")
 def one_html(one_result, build):
     return build(one_result)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with (
-        sync_playwright() as playwright,
-        playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
-        ) as chromium,
-    ):
-        yield chromium
-
-
-@contextmanager
-def opening(browser, path):
-    """Gives a function that opens a report; any console message, error, dialog or request fails at the end."""
-    events, contexts = [], []
-
-    def open_report(html, **options):
-        path.write_text(html, encoding="utf-8")
-        context = browser.new_context(**options)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: events.append(f"console: {message.text}"))
-        page.on("pageerror", lambda error: events.append(f"error: {error}"))
-        page.on("dialog", lambda dialog: events.append(f"dialog: {dialog.message}"))
-        page.on("requestfailed", lambda request: events.append(f"failed: {request.url[:80]}"))
-
-        def requested(request):
-            if request.url != path.as_uri() and not request.url.startswith("data:"):
-                events.append(f"request: {request.url}")
-
-        context.on("request", requested)
-        page.goto(path.as_uri())
-        page.wait_for_load_state("load")
-        return page
-
-    yield open_report
-    for context in contexts:
-        context.close()
-    assert not events
-
-
-@pytest.fixture
-def opened(browser, tmp_path):
-    """Opens a report and returns its page."""
-    with opening(browser, tmp_path / "report.html") as open_report:
-        yield open_report
 
 
 @pytest.fixture(scope="module")
@@ -103,15 +42,6 @@ def changed_page(paper_page):
         "() => { document.querySelectorAll('details').forEach(one => { one.open = false; });"
         " document.activeElement.blur(); scrollTo(0, 0); }"
     )
-
-
-def assert_drawn(page):
-    boxes = page.evaluate(
-        "() => [...document.querySelectorAll('svg, img, image')].map(e => {"
-        " const b = e.getBoundingClientRect(); return [e.tagName, b.width, b.height]; })"
-    )
-    assert boxes
-    assert all(width > 20 and height > 20 for _, width, height in boxes), boxes
 
 
 def test_the_page_opens_without_messages_and_every_figure_is_drawn(paper_page):
@@ -237,12 +167,15 @@ def test_a_link_opens_the_folded_section_it_leads_to(changed_page):
 
 @pytest.mark.parametrize("unfolded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_axe_finds_nothing(opened, one_html, unfolded):
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
+    )
     page = opened(one_html, color_scheme="light")
     for scheme, rules in (("light", None), ("dark", {"runOnly": ["color-contrast"]})):
         # all other rules concern the elements alone
         page.emulate_media(color_scheme=scheme)
         page.get_by_label("Unfold all").set_checked(unfolded)
-        found = Axe().run(page, options=rules).response
+        found = axe.Axe().run(page, options=rules).response
         assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
         assert "color-contrast" in {rule["id"] for rule in found["passes"]}, scheme
 
@@ -265,31 +198,11 @@ def test_every_measured_number_equals_the_summary(paper_page, paper_run):
         assert set(shown) <= known, set(shown) - known
 
 
-def text_brightness(page):
-    colour = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
-    return sum(int(c) for c in colour[4:-1].split(","))
-
-
 def test_figures_follow_the_colour_scheme(opened, one_html):
     page = opened(one_html, color_scheme="light")
     assert text_brightness(page) < 200
     page.emulate_media(color_scheme="dark")
     assert text_brightness(page) > 600
-
-
-def test_the_page_of_the_paper_is_drawn_within_the_window(opened, paper_run):
-    """The page of `modalcam paper` for the same run, with the optimum column taken from its updating."""
-    updated = paper_run.beam.updated
-    frequency_hz = updated.paper.updated_hz
-    optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
-    recomputed = Recomputed(standard_column(), optimum, equations())
-    page = opened(paper.paper_html(paper.paper_page(paper_run, recomputed, Truth({}))))
-    for width, scheme in ((320, "light"), (1200, "dark")):
-        page.set_viewport_size({"width": width, "height": 800})
-        page.emulate_media(color_scheme=scheme)
-        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
-        assert_drawn(page)
-        assert (text_brightness(page) > 600) == (scheme == "dark")
 
 
 @pytest.mark.parametrize(
@@ -303,18 +216,6 @@ def test_any_number_of_recordings(opened, build, count, scripts):
     assert page.locator("article").count() == count
     assert page.locator("table.modes:not(.also) tbody tr").count() == count
     assert page.locator("script").count() == (count <= 12), "figures that are not drawn need no zoom"
-
-
-def filmed_page(build):
-    """Report of one recording with a film of ten frames: a dark block that moves to the right."""
-    images = np.full((10, 120, 40), 200, np.uint8)
-    for k, image in enumerate(images):
-        image[40:60, 2 * k : 2 * k + 12] = 30
-    time_s = 1.0 + np.arange(10) / 200.0
-    footage = KeptFrames("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
-    film = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
-    recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=film)
-    return build(runs.run_result((recording,)))
 
 
 def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened, build, one_result, paper_run):
@@ -338,32 +239,6 @@ def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened, bu
     assert page.evaluate(at) == pytest.approx([1.0, 1.0])
     page.emulate_media(reduced_motion="no-preference", media="print")
     assert page.evaluate(at) == pytest.approx([1.0, 1.0])
-
-
-def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(opened, build):
-    at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
-    page = opened(filmed_page(build))
-    page.get_by_label("Unfold all").check()
-    x_px = set()
-    for _ in range(40):
-        x_px.add(page.evaluate(at))
-        page.wait_for_timeout(40)
-    width = page.locator(".film").first.bounding_box()["width"]
-    assert len(x_px) > 3
-    assert all(abs(x / width - round(x / width)) < 1e-3 and -10 < x / width <= 0 for x in x_px), (x_px, width)
-    page.get_by_label("Pause").check()
-    # an animation stops with the next frame that the browser draws
-    page.wait_for_timeout(300)
-    paused = page.evaluate(at)
-    page.wait_for_timeout(300)
-    assert page.evaluate(at) == paused
-    page.get_by_label("Pause").uncheck()
-    page.emulate_media(reduced_motion="reduce")
-    page.set_viewport_size({"width": 320, "height": 800})
-    moving = "() => getComputedStyle(document.querySelector('.film img')).animationName"
-    assert page.evaluate(moving) == "none"
-    assert page.evaluate("() => document.documentElement.scrollWidth") <= 320
-    assert not page.get_by_label("Pause").is_visible()
 
 
 def zoomed(page, kind, start, end):

@@ -4,10 +4,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.beam import Beam, natural_modes
-from sim.beam.modes import beam_modes
-from sim.reference.paper_beam import paper_beam
+from sim import paper_beam
+from sim.beam import AncfBeam, Beam, beam_modes, natural_modes
 
 PAPER = {
     "length_mm": 500,

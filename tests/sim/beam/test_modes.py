@@ -7,11 +7,16 @@ from scipy.optimize import root
 from support.exact_modes import exact_frequencies_hz
 
 from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.modes import beam_modes
-from sim.beam.properties import ElasticClamp, PointMass
-from sim.beam.statics import BuckledBeamError, static_equilibrium
-from sim.reference.paper_beam import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam, tapered_beam
+from sim import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam, tapered_beam
+from sim.beam import (
+    AncfBeam,
+    BuckledBeamError,
+    ElasticClamp,
+    PointMass,
+    beam_modes,
+    from_band,
+    static_equilibrium,
+)
 
 
 def frequencies(properties, count=5, **options):

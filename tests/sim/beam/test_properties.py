@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from sim.beam.properties import BeamProperties, PointMass
-from sim.reference.paper_beam import paper_beam
+from sim import paper_beam
+from sim.beam import BeamProperties, PointMass
 
 
 def test_uniform_beam_has_the_section_everywhere():

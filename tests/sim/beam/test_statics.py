@@ -2,18 +2,20 @@ import numpy as np
 import pytest
 
 from docs.reference_solutions import elastica_tip
-from sim.beam.ancf import AncfBeam, from_band
-from sim.beam.banded import (
+from sim import paper_beam
+from sim.beam import (
     BAND,
     PAD,
+    AncfBeam,
+    NoEquilibriumError,
     add_product,
     diagonals,
     factor_symmetric,
+    from_band,
     lower_columns,
     solve_symmetric,
+    static_equilibrium,
 )
-from sim.beam.statics import NoEquilibriumError, static_equilibrium
-from sim.reference.paper_beam import paper_beam
 
 EI = 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 L = 0.5

@@ -1,16 +1,15 @@
 """Bands from draws that are simulated with longer steps than the curve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from support.sim_decays import identification
+from kit.identified import identification
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.comparison import problem
-from sim.comparison.bands import Candidate, simulate_candidates, start_draws
-from sim.comparison.matching import match_modes
+from sim import MEASURED_DAMPING_RATIO, sample_beam
+from sim.beam import AncfBeam, beam_modes
+from sim.comparison import Candidate, match_modes, problem, simulate_candidates, start_draws
 from sim.damping import GenericDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 DRAWS = 8
@@ -47,7 +46,8 @@ def test_longer_steps_leave_the_bands(setting, monkeypatch):
     setting, found = setting
     assert setting.coarse.step_s == pytest.approx(8.0 * setting.step_s)
     coarse = simulated(setting, found)
-    monkeypatch.setattr(problem, "_LONGEST_COARSE_STEP_S", setting.step_s)
+    fine_steps = replace(problem.TUNING, longest_coarse_step_s=setting.step_s)
+    monkeypatch.setattr(problem, "TUNING", fine_steps)
     fine = simulated(setting, found)
     np.testing.assert_array_equal(coarse.central, fine.central)
     width = np.sqrt(np.mean((fine.high - fine.low) ** 2))

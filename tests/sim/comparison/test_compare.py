@@ -2,14 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.sim_decays import exponent, identification
+from kit.identified import identification
+from kit.series import pole_of
 
-from modal_id.results import FailedIdentification, FittedMode
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from modal_id import FittedMode
+from sim import MEASURED_DAMPING_RATIO, sample_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.comparison import Candidate, compare_decay
 from sim.damping import GenericDamping, RayleighDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
+from tracker import Failure
 
 POSITIONS_MM = np.array([2.0, 90.0, 190.0, 290.0, 390.0, 490.0])
 TIME_S = np.arange(0.0, 1.6, 1.0 / 500.0)
@@ -63,7 +64,7 @@ def one_mode_fit(near_hz):
     """Replacement for the fit of the program: one pole by iterated linear least squares."""
 
     def fit(series):
-        pole = exponent(near_hz, 0.004)
+        pole = pole_of(near_hz, 0.004)
         since = series.time_s - series.time_s[0]
         for _ in range(30):
             e = np.exp(pole * since)
@@ -209,7 +210,7 @@ def test_reason_why_a_decay_cannot_be_compared(modes, models):
 
 def test_a_failed_identification_of_the_simulation_is_a_note(modes, models):
     def fit(series):
-        return FailedIdentification(series.name, "too short")
+        return Failure("too short", series.name)
 
     result = compare_decay(sample_beam(), decay_of(modes, 2, 0.2), models, fit=fit)
     assert np.isnan(result.models[0].damping_ratio)

@@ -2,19 +2,15 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import coloured
+from kit.series import coloured, series_of
 
-from modal_id.identify import identify
-from modal_id.results import FailedIdentification
-from modal_id.settings import IdentifySettings, SamplerSettings
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.comparison import BAND_DRAWS, Candidate, compare_decay, draw_indices
+from modal_id import IdentifySettings, SamplerSettings, identify
+from sim import MEASURED_DAMPING_RATIO, sample_beam
+from sim.beam import AncfBeam, beam_modes
+from sim.comparison import Candidate, bands, compare_decay, draw_indices
 from sim.damping import GenericDamping, RayleighDamping
-from sim.dynamics.excitation import state_with_coordinates
-from sim.dynamics.simulate import simulate
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
-from tracker.results import DisplacementSeries
+from sim.dynamics import simulate, state_with_coordinates
+from tracker import Failure
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
@@ -51,16 +47,9 @@ def decay(modes, number, *, colour, seed):
     )
     sd = 0.01 * TIP_MM[number - 1] * np.outer(np.linspace(0.8, 1.2, run.time_s.size), NOISE)
     noise = np.stack([coloured(rng, run.time_s.size, colour) for _ in POSITIONS_MM], axis=1)
-    return DisplacementSeries(
-        name="decay",
-        time_s=run.time_s,
-        channels=tuple("abcde"),
-        values=1e3 * run.transverse_m + sd * noise,
-        # a tracker may report a wrong noise level but correct ratios between samples
-        sd=0.5 * sd,
-        unit="mm",
-        positions_mm=POSITIONS_MM,
-        direction=(1.0, 0.0),
+    # a tracker may report a wrong noise level but correct ratios between samples
+    return series_of(
+        run.time_s, 1e3 * run.transverse_m + sd * noise, "mm", 0.5 * sd, POSITIONS_MM, direction=(1.0, 0.0)
     )
 
 
@@ -75,7 +64,7 @@ def compared(modes, number, *, colour=0.0, seed=1):
     found = identify(decay(modes, number, colour=colour, seed=seed), settings)
     assert found, getattr(found, "reason", "")
     posterior = found.target.posterior.damping_ratio.ravel()
-    draws = posterior[draw_indices(posterior.size, BAND_DRAWS)]
+    draws = posterior[draw_indices(posterior.size, bands.TUNING.draws)]
     rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
     candidates = {
         "generic": Candidate(
@@ -87,7 +76,7 @@ def compared(modes, number, *, colour=0.0, seed=1):
         sample_beam(),
         found,
         candidates,
-        fit=lambda series: FailedIdentification(series.name, "skipped in this test"),
+        fit=lambda series: Failure("skipped in this test", series.name),
     )
     assert result, getattr(result, "reason", "")
     return result

@@ -2,19 +2,11 @@
 
 import numpy as np
 import pytest
+from kit.series import coloured
 from scipy.integrate import quad
 from scipy.stats import norm
-from support.modal_decays import coloured
 
-from sim.comparison.scores import (
-    Prediction,
-    Samples,
-    ScoreSum,
-    crps,
-    log_density,
-    score_difference,
-    score_sum,
-)
+from sim.comparison import Prediction, Samples, ScoreSum, crps, log_density, score_difference, score_sum
 
 FREQUENCY_HZ, RATIO, FPS, NOISE = 10.0, 0.004, 200.0, 0.05
 TIME_S = np.arange(1200) / FPS

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 
 OMEGA = 2.0 * np.pi * np.array(MEASURED_FREQUENCY_HZ)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from modalcam.config.schema import ExperimentConfig
-from modalcam.pipeline.beam import damping_candidates
-from modalcam.report.style.environment import style_sheet
-from modalcam.report.style.palette import variables
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import damping_candidates
+from modalcam.report.style import style_sheet, variables
+from sim import paper_beam
 from sim.damping import (
     DAMPING_MODELS,
     DampingModelEntry,
@@ -18,7 +18,6 @@ from sim.damping import (
     selectable_damping_models,
     skipped_damping_models,
 )
-from sim.reference.paper_beam import paper_beam
 
 MEASURED = MeasuredDamping(
     (1, 2), (1.9, 10.1), (0.01, 0.004), ((1.8, 1.9, 2.0), (10.0, 10.1, 10.2)), ((0.009, 0.01, 0.011),) * 2

@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from sim import MEASURED_DAMPING_RATIO, paper_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
-from sim.dynamics.excitation import released_state
-from sim.dynamics.simulate import simulate
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
+from sim.dynamics import released_state, simulate
 
 STORED = np.loadtxt(Path(__file__).parent / "exudyn_free_decay.csv", delimiter=",")
 AMPLITUDE_M = 0.2

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from sim.beam.beam import Beam
+from sim.beam import Beam
 from sim.damping import GenericDamping, RayleighDamping
-from sim.dynamics.free_decay import SimulationError, simulate_free_decay
+from sim.dynamics import SimulationError, simulate_free_decay
 
 BEAM = Beam(length_mm=500, width_mm=5, thickness_mm=0.5, density_kg_m3=8000, elastic_modulus_mpa=210_000)
 

@@ -10,18 +10,19 @@ from docs.reference_solutions import (
     log_energy_slope,
     small_decay,
 )
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
+from sim import MEASURED_DAMPING_RATIO, paper_beam
+from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
-from sim.dynamics.excitation import (
+from sim.dynamics import (
+    BaseMotion,
+    FailedSimulation,
     HarmonicThenStop,
+    State,
     released_state,
     shake_and_stop,
+    simulate,
     state_from_modes,
 )
-from sim.dynamics.simulate import simulate
-from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
 
 TIP = np.array([0.5])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
@@ -294,8 +295,8 @@ def test_simulation_is_reproducible(beam, modes):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"step_s": 0.0}, "step_s must be positive"),
-        ({"duration_s": 1e-4}, "duration_s at least one step"),
+        ({"step_s": 0.0}, "step_s must be finite and positive"),
+        ({"duration_s": 1e-4}, "duration_s must be finite and at least 0.001"),
         ({"output_every": 0}, "output_every must be at least 1"),
         ({"state": State(np.zeros(84), np.zeros(80))}, r"state.q must be finite, shape \(80,\)"),
         ({"base": BaseMotion(np.zeros(5), np.zeros(5))}, "must have 101 samples"),

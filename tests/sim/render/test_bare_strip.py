@@ -7,13 +7,24 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from support.render_truth import box_gauss, still
 
-from sim.render.camera import Camera
-from sim.render.frames import render_frames, render_ideal, true_centres_px, true_line_px
-from sim.render.markers import DotMarker
-from sim.render.scene import Scene, Strip
-from sim.render.strip.bare_strip import BareStrip, Stripe, Surface
-from sim.render.strip.bending import BendingLine, DecayingMode, cantilever_slope, decaying_cantilever
-from sim.render.texture import Texture
+from sim.render import (
+    BareStrip,
+    BendingLine,
+    Camera,
+    DecayingMode,
+    DotMarker,
+    Scene,
+    Strip,
+    Stripe,
+    Surface,
+    Texture,
+    cantilever_slope,
+    decaying_cantilever,
+    render_frames,
+    render_ideal,
+    true_centres_px,
+    true_line_px,
+)
 
 # As of markers: 0.001 counts of 8 bit, half from the cells (2.4e-6 of the contrast an edge), half from the exposure.
 GRAY_TOLERANCE = 1.0e-3

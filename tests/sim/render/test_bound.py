@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from support.tracker_scenes import Recording, cramer_rao_px
+from kit.scenes import Recording, cramer_rao_px
 
-from sim.render.bound import position_bound_px
-from sim.render.camera import Camera
-from sim.render.markers import DotMarker
+from sim.render import Camera, DotMarker, position_bound_px
 
 
 def camera(**changes):

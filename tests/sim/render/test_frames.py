@@ -11,11 +11,18 @@ from support.render_truth import (
     still,
 )
 
-from sim.render.camera import Camera
-from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoMarker, DotMarker, aruco_cells
-from sim.render.motion import Poses
-from sim.render.scene import Scene, Strip
+from sim.render import (
+    ArucoMarker,
+    Camera,
+    DotMarker,
+    Poses,
+    Scene,
+    Strip,
+    aruco_cells,
+    render_frames,
+    render_ideal,
+    true_centres_px,
+)
 
 # 0.001 counts of 8 bit: half from the quadrature, the rest from the marker's lookup table.
 GRAY_TOLERANCE = 1.0e-3

@@ -8,10 +8,7 @@ import pytest
 from scipy.special import erf
 from scipy.stats import norm
 
-from sim.render.kernels import fast_erf
-from sim.render.motion import SampledMotion
-from sim.render.quadrature import order_for, unit_rule
-from sim.render.video import write_video
+from sim.render import SampledMotion, fast_erf, order_for, unit_rule, write_video
 
 
 @pytest.mark.parametrize("span", [0.1, 0.8, 1.7, 3.3, 8.0])

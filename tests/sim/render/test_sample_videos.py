@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from support.paths import SAMPLES
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.video import write_video
+from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
+from sim.beam import AncfBeam, beam_modes
+from sim.render import write_video
 
 MAX_BYTES = 25_000_000
 

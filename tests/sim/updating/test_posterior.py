@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import PointMass
-from sim.reference.paper_beam import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
+from sim import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
+from sim.beam import AncfBeam, PointMass, beam_modes
 from sim.updating import (
-    FailedUpdating,
+    BeamFamily,
     MeasuredModes,
     MeasuredShape,
     SmoothPrior,
     UpdatingSettings,
     compare_models,
+    draw,
+    maximum,
     update,
     update_bayesian,
 )
-from sim.updating.beam_family import BeamFamily
-from sim.updating.posterior import draw, maximum
 from sim.updating.update import _coarse
+from tracker import Failure
 
 FREQUENCY_HZ = np.array(MEASURED_FREQUENCY_HZ)
 NUMBERS = np.arange(1, 6)
@@ -150,8 +149,7 @@ def metropolis(misfits, top, steps, rng):
 @pytest.mark.slow
 def test_metropolis_sampler_gives_the_same_posterior():
     """Four variables of a uniform beam with a point mass, few enough for a random walk; R-hat over 64 chains."""
-    from sim.updating.bayesian import whiten
-    from sim.updating.least_squares import Misfit
+    from sim.updating import Misfit, whiten
 
     beam = sample_beam(6)
     frequency_hz = beam_modes(AncfBeam(beam), 3).frequency_hz
@@ -324,7 +322,7 @@ def test_unreachable_frequency_is_a_failure_with_a_reason():
     beam = replace(paper_beam("standing", elements=6), length_m=0.74)
     low = MeasuredModes(NUMBERS[:1], np.array([1e-3]), np.array([0.0]))
     found = update(beam, low, UpdatingSettings(draws=20))
-    assert isinstance(found, FailedUpdating)
+    assert isinstance(found, Failure)
     assert not found
     assert "too far from the measured one" in found.reason
 

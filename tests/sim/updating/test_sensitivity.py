@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import eig
 
-from sim.beam.ancf import AncfBeam
-from sim.beam.modes import beam_modes
-from sim.beam.properties import ElasticClamp
-from sim.reference.paper_beam import paper_beam, sample_beam
-from sim.updating.beam_family import BeamFamily
-from sim.updating.matrices import BeamMatrices
-from sim.updating.measured_modes import MeasuredShape
+from sim import paper_beam, sample_beam
+from sim.beam import AncfBeam, ElasticClamp, beam_modes
+from sim.updating import BeamFamily, BeamMatrices, MeasuredShape
 
 # one of each kind of variable, at the clamp, inside and at the tip
 CHOSEN = (0, 3, 7, 8, 12, 15, 16, 17)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tracker.follow.filmstrip import MOST_IMAGES, StripKeeper
+from tracker.follow import StripKeeper, recording
 
 
 def filled(n, x, size=(100, 640)):
@@ -19,9 +19,9 @@ def test_first_last_even_and_the_largest_displacement_are_kept():
     x[637] += 4.0
     strip = filled(n, x).strip(np.arange(n))
     assert {0, 637, 999} <= set(strip.frame.tolist())
-    assert MOST_IMAGES / 2 <= strip.frame.size <= MOST_IMAGES + 2
+    assert recording.TUNING.most_images / 2 <= strip.frame.size <= recording.TUNING.most_images + 2
     assert np.all(np.diff(strip.frame) > 0)
-    assert np.max(np.diff(strip.frame)) <= n / (MOST_IMAGES / 2)
+    assert np.max(np.diff(strip.frame)) <= n / (recording.TUNING.most_images / 2)
     assert strip.images.shape == (strip.frame.size, 50, 320)
     assert strip.shrink == 2.0
     assert strip.images[:, 7, 9].tolist() == [k % 251 for k in strip.frame]

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from support import tracker_media as media
-from support.moving_targets import DOTS_X_PX, FPS_DOTS, dot_images, swing_px
+from kit import films as media
+from kit.films import DOTS_X_PX, FPS_DOTS, dot_images, swing_px
 
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, flags, track
 
 SETTINGS = TrackerSettings(fps=FPS_DOTS, kind="blob")
 # The exposure is estimated in the first test; where dots are hidden or leave, it only takes time.

@@ -1,19 +1,25 @@
 """Lens, oblique view and rolling shutter: against OpenCV, against warped views and against theory."""
 
 from dataclasses import replace
-from fractions import Fraction
 
 import cv2
 import numpy as np
 import pytest
+from kit.tracks import tracks_of
 
-from tracker.displacement import displacement_series
-from tracker.geometry.lens import Lens, undistort, undistortion_jacobian
-from tracker.geometry.plane import plane_from_metrics, plane_from_points, plane_jacobian, to_plane
-from tracker.geometry.scale import resolve_scale
-from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
-from tracker.settings import TrackerSettings
+from tracker import Scale, TrackerSettings, displacement_series
+from tracker.geometry import (
+    Lens,
+    plane_from_metrics,
+    plane_from_points,
+    plane_jacobian,
+    resolve_scale,
+    row_delay_s,
+    to_common_time,
+    to_plane,
+    undistort,
+    undistortion_jacobian,
+)
 
 
 def distort(lens, x_px, y_px):
@@ -43,23 +49,7 @@ def oblique_px(points_mm):
 
 
 def tracks(x_px, y_px, **more):
-    n, m = x_px.shape
-    return MarkerTracks(
-        recording="r",
-        markers=tuple(f"m{k + 1}" for k in range(m)),
-        frame=np.arange(n),
-        time_s=np.arange(n) / 1000,
-        x_px=x_px,
-        y_px=y_px,
-        sd_x_px=np.full((n, m), 0.01),
-        sd_y_px=np.full((n, m), 0.01),
-        flags=np.zeros((n, m), np.uint32),
-        positions_mm=np.full(m, np.nan),
-        scale=more.pop("scale", Scale(1.0, 0.01, "as given")),
-        time_axis=TimeAxis("user", Fraction(1000)),
-        decode=DecodeReport("ffv1", "gray", 640, 480, 8, n, n, 0, lossy=False),
-        **more,
-    )
+    return tracks_of(x_px, y_px, **({"scale": Scale(1.0, 0.01, "as given")} | more))
 
 
 def test_undistortion_matches_opencv_and_inverts_the_distortion():

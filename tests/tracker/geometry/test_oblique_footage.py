@@ -4,12 +4,10 @@ from fractions import Fraction
 
 import cv2
 import numpy as np
-from support import tracker_media as media
-from support.tracker_scenes import Recording
+from kit import films as media
+from kit.scenes import Recording
 
-from tracker.displacement import displacement_series
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, displacement_series, track
 
 # From the frontal to the oblique image: compressed horizontally, smaller towards the right.
 VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])

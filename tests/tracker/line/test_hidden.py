@@ -1,15 +1,13 @@
 """Stations whose small motion a predictive codec leaves out are not fitted; others are."""
 
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
+from kit.tracks import decoded, tracks_of
 
-from modal_id.data.prepare import prepare
-from tracker import flags
-from tracker.displacement import displacement_series
-from tracker.line.hidden import hidden_motion
-from tracker.results import DecodeReport, MarkerTracks, TimeAxis
+from modal_id.data import prepare
+from tracker import displacement_series, flags
+from tracker.line import codec_skipped
 
 FPS, FREQUENCY_HZ, SD_PX, FRAMES = 1000.0, 31.0, 0.02, 1200
 AMPLITUDES_PX = (0.03, 0.05, 0.5, 1.0)
@@ -35,32 +33,24 @@ def line(*, codec="h264", threshold_px=0.05, drift_px=0.0):
     x = [a * wave + wander + SD_PX * rng.standard_normal(FRAMES) for a in AMPLITUDES_PX]
     if threshold_px:
         x = [skipped(values, threshold_px) for values in x]
-    size = (FRAMES, len(AMPLITUDES_PX))
-    return MarkerTracks(
-        recording="fork",
-        markers=tuple(f"s{k + 1}" for k in range(size[1])),
-        frame=np.arange(FRAMES),
-        time_s=t,
-        x_px=100.0 + np.stack(x, axis=1),
-        y_px=np.tile(20.0 * np.arange(size[1]), (FRAMES, 1)),
-        sd_x_px=np.full(size, SD_PX),
-        sd_y_px=np.full(size, 1e-4),
-        flags=np.zeros(size, dtype=np.uint32),
-        positions_mm=np.full(size[1], np.nan),
-        scale=None,
-        time_axis=TimeAxis("user", Fraction(1000)),
-        decode=DecodeReport(
-            codec, "yuv420p", 640, 420, 8, FRAMES, FRAMES, 0, lossy=True, predictive=codec == "h264"
-        ),
+    count = len(AMPLITUDES_PX)
+    return tracks_of(
+        100.0 + np.stack(x, axis=1),
+        20.0 * np.arange(count),
+        fps=FPS,
+        markers=tuple(f"s{k + 1}" for k in range(count)),
+        sd_x_px=np.full((FRAMES, count), SD_PX),
+        sd_y_px=np.full((FRAMES, count), 1e-4),
+        decode=decoded(FRAMES, codec=codec, lossy=True, predictive=codec == "h264"),
         kind="line",
     )
 
 
 def test_small_motion_that_the_codec_repeats_is_left_out_with_one_reason_for_all():
     tracks = line()
-    assert [name for name, _ in hidden_motion(tracks)] == ["s1", "s2"], "below 4 sd rms, 0.08 px"
+    assert [name for name, _ in codec_skipped(tracks)] == ["s1", "s2"], "below 4 sd rms, 0.08 px"
     drifts = line(drift_px=0.2)
-    assert [name for name, _ in hidden_motion(drifts)] == ["s1", "s2"], (
+    assert [name for name, _ in codec_skipped(drifts)] == ["s1", "s2"], (
         "one cycle in the record is no vibration"
     )
     prepared = prepare(displacement_series(tracks))
@@ -71,10 +61,11 @@ def test_small_motion_that_the_codec_repeats_is_left_out_with_one_reason_for_all
 
 def test_small_motion_that_is_measured_in_every_frame_is_fitted():
     # White noise steps by less than 0.05 sd in 2.8 % of the frames: 34 +- 6 of 1200, against a limit of 180.
-    assert hidden_motion(line(threshold_px=0.0)) == ()
+    assert codec_skipped(line(threshold_px=0.0)) == ()
     # Another codec does not predict frames, and another marker is chosen where the motion is large.
-    assert hidden_motion(line(codec="mjpeg")) == ()
-    assert hidden_motion(replace(line(), kind="patch")) == ()
+    assert codec_skipped(line(codec="mjpeg")) == ()
+    assert displacement_series(line()).misleading
+    assert not displacement_series(replace(line(), kind="patch")).misleading
 
 
 def test_frames_repeated_as_a_whole_are_no_sign_of_it():
@@ -83,10 +74,10 @@ def test_frames_repeated_as_a_whole_are_no_sign_of_it():
     marks = tracks.flags.copy()
     marks[1::2] = flags.DUPLICATE_FRAME.value
     tracks = replace(tracks, x_px=tracks.x_px[twice], flags=marks)
-    assert hidden_motion(tracks) == ()
+    assert codec_skipped(tracks) == ()
 
 
 def test_a_station_that_is_never_found_is_no_sign_of_it():
     tracks = line()
     lost = np.where(np.arange(len(AMPLITUDES_PX)) == 0, np.nan, tracks.x_px)
-    assert [name for name, _ in hidden_motion(replace(tracks, x_px=lost))] == ["s2"]
+    assert [name for name, _ in codec_skipped(replace(tracks, x_px=lost))] == ["s2"]

@@ -4,14 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.line_films import SMALL, calibrated, followed
+from kit.lines import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene, bound_px
-from tracker.line import kernel
-from tracker.line.calibrate import EDGE_FLANK_PX
-from tracker.line.curve import Centreline
-from tracker.line.follower import LineFollower
-from tracker.line.light import UNKNOWN_LIGHT, learned_light
+from tracker.line import UNKNOWN_LIGHT, Centreline, LineFollower, calibrate, kernel, learned_light
 
 FRAMES = 48
 SCENE = LineScene(**SMALL, feature="edge")
@@ -40,7 +36,7 @@ def test_the_light_of_the_neighbours_is_worth_what_the_bounds_say(frames):
     together, together_sd = positions(found.model, frames)
     true = np.array([SCENE.points(float(k), found.arc_px[1:-1])[0][:, 0] for k in range(FRAMES)])
     errors = [values - true - np.mean(values - true, axis=0) for values in (alone, together)]
-    at = (0, found.arc_px[1:-1], found.model.line.spacing_px, EDGE_FLANK_PX)
+    at = (0, found.arc_px[1:-1], found.model.line.spacing_px, calibrate.TUNING.edge_flank_px)
     expected = rms(bound_px(SCENE, *at, light_known=True)) / rms(bound_px(SCENE, *at))
     assert expected < 0.95, "the scene says little about the light"
     gained = rms(errors[1]) / rms(errors[0])

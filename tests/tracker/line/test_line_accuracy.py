@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.line_films import SMALL, followed
+from kit.lines import SMALL, followed
 
 from benchmarks.line_scenes import LineScene, bound_px
-from tracker.line.calibrate import EDGE_FLANK_PX
+from tracker.line import calibrate
 
 FRAMES = 20
 CASES = {
@@ -27,7 +27,7 @@ def test_errors_are_at_the_bound_and_as_stated(name):
     found = followed(scene, scene.frames(FRAMES))
     # The first and the last window include the ends.
     error = (found.across_px - found.across_px.mean(axis=0))[:, 1:-1]
-    reach = EDGE_FLANK_PX if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
+    reach = calibrate.TUNING.edge_flank_px if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
     bounds = [bound_px(scene, k, found.arc_px[1:-1], found.model.line.spacing_px, reach) for k in (0, 7)]
     bound = np.sqrt(np.mean(np.square(bounds)))
     # The mean over the frames takes a share of the variance.

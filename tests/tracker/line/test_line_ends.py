@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from support.line_films import SMALL
+from kit.lines import SMALL
 
 from benchmarks.line_scenes import LineScene
-from tracker.line.calibrate import calibrate_line
-from tracker.line.model import INSET_PX
-from tracker.markers.line import SEEN_SD_PX
+from tracker.line import calibrate_line
+from tracker.line import model as line_model
+from tracker.markers import line
 
 CAMERA = np.array([4.0, 0.0, 255.0])
 
@@ -19,8 +19,8 @@ def ends_off_px(scene, given_px):
     model = calibrate_line(scene.frames(16), true + given_px[:, None] * tangents, CAMERA)
     assert model, model.reason
     curve = model.line.fine(model.start)
-    first = curve.points[0] - INSET_PX * curve.tangents[0]
-    last = curve.points[-1] + INSET_PX * curve.tangents[-1]
+    first = curve.points[0] - line_model.TUNING.inset_px * curve.tangents[0]
+    last = curve.points[-1] + line_model.TUNING.inset_px * curve.tangents[-1]
     return np.sum((np.stack([first, last]) - true) * tangents, axis=1), model
 
 
@@ -36,9 +36,11 @@ def ends_off_px(scene, given_px):
 def test_ends_of_a_strip_are_found_to_a_fraction_of_a_pixel(scene, given_px):
     off, model = ends_off_px(scene, np.array(given_px))
     assert model.ends_seen == (True, True)
-    assert np.all(np.abs(off) < 3.0 * SEEN_SD_PX), f"{off} px for ends given {given_px} px off, 3 sd"
+    assert np.all(np.abs(off) < 3.0 * line.TUNING.seen_sd_px), (
+        f"{off} px for ends given {given_px} px off, 3 sd"
+    )
     length = model.length_px - scene.length_px
-    assert abs(length) < 3.0 * np.sqrt(2.0) * SEEN_SD_PX, f"length {length:.2f} px off"
+    assert abs(length) < 3.0 * np.sqrt(2.0) * line.TUNING.seen_sd_px, f"length {length:.2f} px off"
 
 
 def test_an_end_that_is_not_seen_stays_as_given():
@@ -49,6 +51,6 @@ def test_an_end_that_is_not_seen_stays_as_given():
     assert model, model.reason
     assert model.ends_seen == (True, False)
     curve = model.line.fine(model.start)
-    last = curve.points[-1] + INSET_PX * curve.tangents[-1]
+    last = curve.points[-1] + line_model.TUNING.inset_px * curve.tangents[-1]
     # What the steps of a path known to a px add to its length of 100 px.
     assert np.hypot(*(last - true[1])) < 1.0

@@ -5,13 +5,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from support.line_films import SMALL, calibrated, followed
+from kit.lines import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene
 from tracker import flags
-from tracker.line import line_kernels
-from tracker.line.follower import LARGEST_MISS_PX, LineFollower
-from tracker.line.line_kernels import LEARNABLE_PX, LINES, ORDER
+from tracker.line import (
+    LINES,
+    ORDER,
+    LineFollower,
+)
+from tracker.line import follower as line_follower
+from tracker.line import stations as line_kernels
 
 SCENE = LineScene(**SMALL)
 
@@ -110,7 +114,7 @@ def test_three_decaying_vibrations_are_predicted():
         missed.append(np.abs(guess - found).max())
         line_kernels.learn_recursion(past, found, normal, rhs, ahead)
     # From the weights' shrinkage only, which stands for errors of 0.01 px in lines that move by px from frame to frame.
-    assert max(missed[20:]) < 10.0 * LEARNABLE_PX, missed
+    assert max(missed[20:]) < 10.0 * line_kernels.TUNING.learnable_px, missed
     assert ahead.sum() == pytest.approx(1.0), "what rests is predicted to rest"
 
 
@@ -132,7 +136,7 @@ def test_fast_vibrations_are_met_at_the_first_attempt(monkeypatch):
         follower.step(image)
         found.append(follower.model.line.at_stations(follower.fit.moved).points)
     steps = np.diff(found, n=3, axis=0)[20:]
-    assert np.abs(steps).max() > 10.0 * LARGEST_MISS_PX, "a polynomial would do"
+    assert np.abs(steps).max() > 10.0 * line_follower.TUNING.largest_miss_px, "a polynomial would do"
     # 24 frames are enough to learn from; before that, every line is registered twice or more.
     assert min(attempts[4:8]) > 1, attempts
     assert max(attempts[24:]) == 1, attempts

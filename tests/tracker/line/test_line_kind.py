@@ -4,20 +4,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from support.line_films import SMALL
+from kit.lines import SMALL
 
 from benchmarks.line_scenes import LineScene
-from modal_id.identify import identify
-from modal_id.settings import IdentifySettings
-from modalcam.export.tables import write_tracks
-from modalcam.inputs.series import tracks_from_table
-from modalcam.inputs.table import read_table
-from sim.render.video import write_video
-from tracker.displacement import displacement_series
-from tracker.line.calibrate import ENDS_PX
-from tracker.line.find import NoMovingLine, find_line
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from modal_id import IdentifySettings, identify
+from modalcam.inputs import read_table, tracks_from_table
+from modalcam.tables import write_tracks
+from sim.render import write_video
+from tracker import Failure, TrackerSettings, displacement_series, track
+from tracker.line import calibrate, find_line
 
 FPS, RATE, ZETA = 500.0, 0.0371, 0.008
 SCENE = LineScene(
@@ -114,7 +109,7 @@ def test_the_line_is_found_by_its_motion(film, tracks):
 
 @pytest.mark.parametrize("mode", [1, 2, 3, 4, 5])
 def test_a_line_with_nodes_is_found_from_its_clamp(mode):
-    """To the accuracy that a calibration requires of given ends, `ENDS_PX`."""
+    """To the accuracy that a calibration requires of given ends, `calibrate.TUNING.ends_px`."""
     scene = LineScene(
         **SMALL
         | {
@@ -126,9 +121,9 @@ def test_a_line_with_nodes_is_found_from_its_clamp(mode):
         }
     )
     found = find_line(scene.frames(16))
-    assert not isinstance(found, NoMovingLine), found.reason
+    assert not isinstance(found, Failure), found.reason
     ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
-    assert np.all(np.hypot(*(found - ends).T) < ENDS_PX)
+    assert np.all(np.hypot(*(found - ends).T) < calibrate.TUNING.ends_px)
 
 
 def test_two_lines_beside_each_other_are_not_one():

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.line_films import SMALL, followed
+from kit.lines import SMALL, followed
 
 from benchmarks.line_scenes import LineScene
-from tracker.line.calibrate import calibrate_line
-from tracker.line.follower import LineFollower
+from tracker.line import LineFollower, calibrate_line
 
 SCENE = LineScene(**SMALL)
 LONGER = replace(SCENE, length_px=180.0, shape=(220, 76))

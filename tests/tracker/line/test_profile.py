@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.line.profile import ProfileSums
+from tracker.line import ProfileSums
 
 
 @pytest.mark.parametrize("reach_px", [1.0, 3.0, 20.0])

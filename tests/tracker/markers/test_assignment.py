@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.markers.assignment import Expectation, Scene, assign, completed
+from tracker.markers import Expectation, Scene, assign, completed
 
 CORNERS = np.array([[10.0, 10.0], [1270.0, 590.0]])
 SIZE_PX = 16.0

@@ -5,21 +5,27 @@ from fractions import Fraction
 import cv2
 import numpy as np
 import pytest
-from support.tracker_scenes import FPS, Recording
+from kit.scenes import FPS, Recording
 
-from tracker.markers import aruco, dots
-from tracker.markers.aruco import LEAST_LIKENESS, ArucoDetector
-from tracker.markers.base import FoundMarkers
-from tracker.markers.beam_order import order_along_beam
-from tracker.markers.codes import dictionary_of, likeness, opencv_detector, read_codes
-from tracker.markers.dots import DOT, DotDetector
-from tracker.markers.patch import PatchDetector
-from tracker.markers.registry import detect_markers
-from tracker.markers.spots import Spot, find_spots
-from tracker.settings import TrackerSettings
-from tracker.template.parametric import OVERSAMPLING, disc_values
-from tracker.template.spline import from_values, grid_px
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.markers import (
+    DOT,
+    ArucoDetector,
+    DotDetector,
+    FoundMarkers,
+    PatchDetector,
+    Spot,
+    aruco,
+    detect_markers,
+    dictionary_of,
+    dots,
+    find_spots,
+    likeness,
+    opencv_detector,
+    order_along_beam,
+    read_codes,
+)
+from tracker.template import disc_values, from_values, grid_px, template
 
 COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
 
@@ -243,7 +249,7 @@ def test_a_hidden_marker_is_nan(tmp_path):
     for image in images[30:40]:
         image[:, :100] = 200
     # FFV1 is lossless.
-    from support import tracker_media as media
+    from kit import films as media
 
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
     tracks = track(path, TrackerSettings(fps=Fraction(1000), kind="blob"), recording="a")
@@ -341,7 +347,7 @@ def test_true_codes_look_like_their_print_even_when_small(size):
         for code in read_codes(images[0], detector, upscaling=2)
     ]
     assert len(found) >= 5
-    assert min(found) > LEAST_LIKENESS
+    assert min(found) > aruco.TUNING.least_likeness
 
 
 @pytest.mark.parametrize("diameter", [90.0, 180.0])
@@ -379,9 +385,9 @@ def test_a_disc_fitted_to_what_is_no_dot_stays_small(monkeypatch):
 
     monkeypatch.setattr(dots, "disc_values", recorded)
     size = 12.0
-    u, v = grid_px(9.0, 9.0, OVERSAMPLING)
+    u, v = grid_px(9.0, 9.0, template.TUNING.printed_oversampling)
     edge = 40.0 + 160.0 * np.clip(0.5 + u[None, :] + 0.02 * v[:, None] ** 2, 0.0, 1.0)
-    learned = from_values(edge, np.ones(edge.shape, np.uint8), OVERSAMPLING)
+    learned = from_values(edge, np.ones(edge.shape, np.uint8), template.TUNING.printed_oversampling)
     detection = dots._detection("m1", 0, Spot(50.0, 50.0, size, light=False, levels=3), float("nan"))
     assert DOT.fit_learned(detection, learned) is None
-    assert max(radii) <= dots.BEYOND * size
+    assert max(radii) <= dots.TUNING.beyond * size

@@ -2,14 +2,10 @@
 
 import numpy as np
 import pytest
-from support.tracker_scenes import FPS, Recording
+from kit.scenes import FPS, Recording
 
-from tracker.markers.base import LookAlikeDetector
-from tracker.markers.left_out import filled, leaving_out
-from tracker.markers.registry import detect_markers, marker_kind
-from tracker.results import MarkerTracks
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import MarkerTracks, TrackerSettings, track
+from tracker.markers import SimilarMarkerDetector, detect_markers, filled, leaving_out, marker_kind
 
 POSITIONS = ((30.0, 50.0), (80.0, 52.0), (130.0, 49.0))
 
@@ -67,7 +63,7 @@ def test_a_left_out_marker_is_not_taken_for_a_lost_one():
     images = row("blob").images()
     region = around(*POSITIONS[1])
     dots = leaving_out(marker_kind("blob").detector(TrackerSettings(fps=FPS), auto=False), (region,))
-    assert isinstance(dots, LookAlikeDetector)
+    assert isinstance(dots, SimilarMarkerDetector)
     sought = dots.detect(images).detections
     beside = tuple(d.at(np.array(POSITIONS[1])) for d in sought[:1])
     seen = dots.candidates(images[5], (*sought, *beside)).centres_px

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from support import tracker_media as media
-from support.moving_targets import FPS_BALL, ball_images, ball_x_px
+from kit import films as media
+from kit.films import FPS_BALL, ball_images, ball_x_px
 
-from tracker.markers.patch import PatchDetector
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.markers import PatchDetector
 
 FRAMES = 40
 POINTS_PX = ((470.0, 120.0),)

@@ -8,8 +8,8 @@ import pytest
 from scipy import ndimage
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from tracker.markers.proposals import WINDOW_PX, propose_points
-from tracker.video.registry import open_recording
+from tracker.markers import proposals, propose_points
+from tracker.video import open_recording
 
 HEIGHT, WIDTH = 200, 300
 
@@ -31,9 +31,9 @@ def film(shift_px, count=12, noise=1.0):
 def test_the_moving_square_is_proposed_first():
     points = propose_points(film(3.0))
     # Half the window reaches the square, whose edges move as well.
-    assert np.max(np.abs(points[0] - (200, 90))) <= 20 + 3 + WINDOW_PX / 2, points
+    assert np.max(np.abs(points[0] - (200, 90))) <= 20 + 3 + proposals.TUNING.window_px / 2, points
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 1)]
-    assert apart.size == 0 or apart.min() >= WINDOW_PX
+    assert apart.size == 0 or apart.min() >= proposals.TUNING.window_px
 
 
 @pytest.mark.parametrize("frames", [film(0.0), film(0.0)[:2], [np.zeros((40, 40), np.uint8)] * 5])
@@ -44,7 +44,9 @@ def test_nothing_is_proposed_where_nothing_moves(frames):
 def test_deep_images_give_the_same_points():
     frames = film(3.0, noise=0.0)
     deep = [image.astype(np.uint16) * 16 for image in frames]
-    assert np.allclose(propose_points(deep)[0], propose_points(frames)[0], atol=WINDOW_PX / 2)
+    assert np.allclose(
+        propose_points(deep)[0], propose_points(frames)[0], atol=proposals.TUNING.window_px / 2
+    )
 
 
 @pytest.mark.parametrize("shift_px", [0.1, 0.3])
@@ -66,8 +68,8 @@ def test_a_motion_of_a_tenth_of_a_pixel_is_proposed_before_stronger_changes(shif
         image[60:100, 50:90] = 120.0 + 30.0 * other / other.std()
         frames.append(np.clip(np.rint(image + rng.normal(0, 1.0, image.shape)), 0, 255).astype(np.uint8))
     x, y = propose_points(frames)[0]
-    assert 170 - WINDOW_PX / 2 < x < 240 + WINDOW_PX / 2, (x, y)
-    assert 60 - WINDOW_PX / 2 < y < 120 + WINDOW_PX / 2, (x, y)
+    assert 170 - proposals.TUNING.window_px / 2 < x < 240 + proposals.TUNING.window_px / 2, (x, y)
+    assert 60 - proposals.TUNING.window_px / 2 < y < 120 + proposals.TUNING.window_px / 2, (x, y)
 
 
 @pytest.mark.skipif(not REALDATA.is_dir(), reason=REALDATA_ABSENT)

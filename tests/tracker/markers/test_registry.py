@@ -4,15 +4,20 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from kit import films as media
 from scipy import ndimage
-from support import tracker_media as media
 
-from tracker.markers import registry
-from tracker.markers.base import Detection, FoundMarkers, MarkerKind, NothingFound
-from tracker.markers.registry import marker_kind, register_marker_kind
-from tracker.settings import TrackerSettings
-from tracker.template.spline import from_values, grid_px
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.markers import (
+    Detection,
+    FoundMarkers,
+    MarkerKind,
+    NothingFound,
+    marker_kind,
+    register_marker_kind,
+    registry,
+)
+from tracker.template import from_values, grid_px
 
 # Outer and inner radius of a ring, and the sd of the camera noise.
 OUTER_PX, INNER_PX, NOISE = 9.0, 5.0, 1.5

@@ -4,11 +4,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from support.tracker_scenes import Recording
+from kit.scenes import Recording
 
-from tracker.geometry.shutter import exposure_attenuation
-from tracker.settings import TrackerSettings
-from tracker.track import track
+from tracker import TrackerSettings, track
+from tracker.geometry import exposure_attenuation
 
 
 @pytest.mark.parametrize(

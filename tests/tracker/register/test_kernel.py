@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tracker.register import kernel, sampling
-from tracker.register.marker import Camera, register
-from tracker.template.noise import NoiseModel
-from tracker.template.parametric import disc_template
+from tracker.register import Camera, kernel, register, sampling
+from tracker.template import NoiseModel, disc_template
 
 CAMERA = Camera(NoiseModel(2.0, 0.05), 255.0)
 

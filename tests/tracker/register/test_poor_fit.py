@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tracker.arrays import FloatArray
-from tracker.register import kernel, poor_fit
-from tracker.register.marker import Camera, register
-from tracker.template.noise import NoiseModel
-from tracker.template.spline import Template, from_values, grid_px
+from tracker import FloatArray
+from tracker.register import Camera, kernel, poor_fit, register
+from tracker.template import NoiseModel, Template, from_values, grid_px
 
 NOISE_SD = 1.5
 CAMERA = Camera(NoiseModel(NOISE_SD**2, 0.0), 255.0)
@@ -103,7 +101,7 @@ def test_the_position_does_not_jump_when_the_light_changes(template: Template) -
     """From one frame to the next the share of uneven light changes by a twentieth at most."""
     _, fits = errors_and_fits(template, shadow, light=0.0)
     steps = np.abs(np.diff(fits[:, kernel.LIGHT], prepend=0.0))
-    assert np.max(steps) <= 1.0 / poor_fit.MEMORY + 1e-12
+    assert np.max(steps) <= 1.0 / poor_fit.TUNING.memory + 1e-12
 
 
 def test_a_poor_fit_states_a_larger_sd_where_no_polynomial_explains_it(template: Template) -> None:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import pytest
 from support.paths import ROOT
 
 _REGISTER = """
@@ -13,7 +14,7 @@ import sys
 import numpy as np
 from tracker.register.marker import Camera, register
 from tracker.template.noise import NoiseModel
-from tracker.template.parametric import disc_template
+from tracker.template.template import disc_template
 
 template, rng = disc_template(8.0, 0.9), np.random.default_rng(3)
 camera = Camera(NoiseModel(2.0, 0.05), 255.0)
@@ -27,6 +28,7 @@ for x, y in 20.0 + rng.uniform(-1.0, 1.0, (50, 2)):
 """
 
 
+@pytest.mark.slow  # in the fast suite: two processes, one of which compiles (modalcam/pipeline/test_compile)
 def test_new_and_cached_kernels_give_the_same_bytes(tmp_path) -> None:
     """The first run compiles and stores the kernels, the second loads them."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}

@@ -4,15 +4,11 @@ import re
 
 import numpy as np
 import pytest
-from support.tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
+from kit.scenes import FPS, Recording, cramer_rao_px, errors_px
 
-from tracker import flags
-from tracker.markers.aruco import ArucoDetector
-from tracker.markers.base import NothingFound
-from tracker.settings import TrackerSettings
-from tracker.template.blur import Blurrer, exposed_path_px, unblurred
-from tracker.template.parametric import disc_template, disc_values
-from tracker.track import track
+from tracker import TrackerSettings, flags, track
+from tracker.markers import ArucoDetector, NothingFound
+from tracker.template import Blurrer, disc_template, disc_values, exposed_path_px, unblurred
 
 
 def rms(values):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.video.background import without_departures
-from tracker.video.base import Frame
+from tracker.video import Frame, without_departures
 
 FRAMES, HEIGHT, WIDTH, EVENT = 60, 160, 240, 30
 Y, X = np.mgrid[:HEIGHT, :WIDTH]

@@ -3,12 +3,10 @@
 import av
 import numpy as np
 import pytest
-from support import tracker_media as media
+from kit import films as media
 
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.ffmpeg import VideoSource
-from tracker.video.registry import probe
+from tracker import TrackerSettings, track
+from tracker.video import VideoSource, probe
 
 RATE = 250
 # One frame of 1/250 s in ticks, as FFmpeg writes MP4 of that rate.

@@ -1,32 +1,26 @@
 """Image folders and TIFF stacks: natural order, gaps as missing frames, equal size, size limits."""
 
-import zlib
 from fractions import Fraction
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
-from support import camera_files as files
-from support import tracker_media as media
+from kit import camera_files as files
+from kit import films as media
+from kit.camera_files import read
 
-from tracker import flags
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.image_folder import ImageFolder, image_series
-from tracker.video.registry import open_recording
-from tracker.video.tiff import TiffSource, is_stack
+from tracker import TrackerSettings, flags, track
+from tracker.video import (
+    ImageFolder,
+    TiffSource,
+    UnreadableVideoError,
+    image_series,
+    is_stack,
+)
+from tracker.video import source as limits
 
 BLOB = TrackerSettings(kind="blob", fps=Fraction(500))
-
-
-def read(path):
-    source = open_recording(path)
-    try:
-        return list(source.frames()), source.info
-    finally:
-        source.close()
 
 
 def test_images_are_in_natural_order(tmp_path):
@@ -138,26 +132,17 @@ def test_links_to_files_outside_the_folder_are_ignored(tmp_path):
     assert len(read(folder)[0]) == 12
 
 
-def png_bomb(width, height):
-    def chunk(name, data):
-        return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
-
-    head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x00\x00\x00\x00"
-    pixels = zlib.compress(bytes(1_000_000))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
-
-
 def test_too_many_pixels_are_rejected_before_decoding(tmp_path, monkeypatch):
     for side in (60000, 2**32 - 1):
         folder = tmp_path / str(side)
         folder.mkdir()
         for k in range(12):
-            (folder / f"{k}.png").write_bytes(png_bomb(side, side))
+            (folder / f"{k}.png").write_bytes(files.announced_png(side, side))
         with pytest.raises(UnreadableVideoError, match=f"{side} x {side} px is over the limit"):
             ImageFolder(folder)
     stack = tmp_path / "a.tif"
     tifffile.imwrite(stack, np.zeros((200, 300), np.uint8))
-    monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 50_000)
+    monkeypatch.setattr("tracker.video.source.TUNING", limits.Tuning(max_pixels=50_000))
     with pytest.raises(UnreadableVideoError, match="over the limit"):
         TiffSource(stack)
 

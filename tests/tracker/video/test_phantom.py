@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from support import camera_files as files
-from support import tracker_media as media
+from kit import camera_files as files
+from kit import films as media
+from kit.camera_files import time_axis_of
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.video.base import UnreadableVideoError
-from tracker.video.ffmpeg import VideoSource
-from tracker.video.phantom import PhantomSource, linear_10
-from tracker.video.registry import open_recording
+from tracker.video import PhantomSource, UnreadableVideoError, VideoSource, linear_10
 
 REAL = REALDATA / "highspeed_formats"
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
@@ -21,19 +18,6 @@ def read(path):
     frames = list(source.frames())
     source.close()
     return frames, source.info
-
-
-def time_axis_of(path, user=None):
-    source = open_recording(path)
-    stamps, info = source.stamps(), source.info
-    source.close()
-    return resolve_time_axis(
-        stamps,
-        time_base=info.time_base,
-        container_rate=info.container_rate,
-        header_rate=info.header_rate,
-        user_fps=user,
-    )
 
 
 def test_packed_10_bit_is_linearized(tmp_path):

@@ -4,18 +4,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from kit import camera_files as files
+from kit import films as media
+from kit.camera_files import time_axis_of
 from scipy.ndimage import binary_fill_holes, label
-from support import camera_files as files
-from support import tracker_media as media
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
-from tracker.geometry.frame_times import resolve_time_axis
-from tracker.settings import TrackerSettings
-from tracker.track import track
-from tracker.video.base import UnreadableVideoError
-from tracker.video.gray import unpacked
-from tracker.video.photron import PhotronSource
+from tracker import TrackerSettings, track
+from tracker.video import PhotronSource, UnreadableVideoError, unpacked
 
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
@@ -45,16 +42,7 @@ def test_words_with_the_data_in_the_upper_bits(suffix, tmp_path):
 
 def test_the_save_step_divides_the_frame_rate(tmp_path):
     path = files.write_photron(tmp_path / "a.cih", media.images(5), bits=8, rate=30000, step=3)
-    source = PhotronSource(path)
-    info = source.info
-    axis = resolve_time_axis(
-        source.stamps(),
-        time_base=info.time_base,
-        container_rate=None,
-        header_rate=info.header_rate,
-        user_fps=None,
-    )
-    source.close()
+    axis = time_axis_of(path)
     assert axis.time_axis.fps_recorded == 10000
     assert axis.time_s[-1] == 4 / 10000
     assert "Recorded at 30000 fps" in axis.time_axis.notes[0]

@@ -4,13 +4,11 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from support import tracker_media as media
-from support.reader_cases import WRITERS, images_for
+from kit import films as media
+from kit.camera_files import WRITERS, images_for
 
-from modalcam.inputs.discover import discover
-from tracker.video.base import UnreadableVideoError
-from tracker.video.random_access import frame_stamps, read_frame
-from tracker.video.registry import open_recording
+from modalcam.inputs import discover
+from tracker.video import UnreadableVideoError, frame_stamps, open_recording, read_frame
 
 
 def in_order(path):

@@ -5,10 +5,18 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from modalcam.inputs.discover import discover
-from tracker.video import registry
-from tracker.video.base import Frame, Reader, SourceInfo, UnreadableVideoError
-from tracker.video.registry import input_files, open_recording, probe, register_reader
+from modalcam.inputs import discover
+from tracker.video import (
+    Frame,
+    Reader,
+    SourceInfo,
+    UnreadableVideoError,
+    input_files,
+    open_recording,
+    probe,
+    register_reader,
+    registry,
+)
 
 
 class ArraySource:

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.shape import shape_of
+from modalcam.report.figures import RecordingSubject, shape_of
 
 
 def test_the_assurance_criterion_is_that_of_the_drawn_curve():

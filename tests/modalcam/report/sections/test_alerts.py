@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 from support.html_page import Page
 
-from modal_id.check import Check
-from modal_id.modes.line_effect import line_effect
-from modal_id.results import DrivenMotion, FittingRate
-from modalcam.report.sections.alerts import alerts
-from tracker.flags import NOT_FOUND
+from modal_id import Check, DrivenMotion, FittingRate
+from modal_id.modes import line_effect
+from modalcam.report.sections import alerts
+from tracker import NOT_FOUND
 
 
 def with_severities(*pairs):

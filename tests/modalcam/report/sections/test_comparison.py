@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 from support.html_page import Page
 
-from modalcam.pipeline.model_scores import model_scores
-from modalcam.report.build import build_report
-from modalcam.report.sections.comparison import findings, worst_ratios
-from modalcam.report.style.environment import environment
-from modalcam.report.style.format import thousands
+from modalcam.pipeline import model_scores
+from modalcam.report import build_report
+from modalcam.report.sections import findings, worst_ratios
+from modalcam.report.style import environment, thousands
 from sim.comparison import DragFit, DragLimit, ScoreSum
 from sim.damping import DAMPING_MODELS, DampingModelEntry, register_damping_model
 
@@ -100,7 +99,8 @@ def test_drag_is_reported_if_detected_and_limited_otherwise(recordings):
     assert "the drag coefficient is 2.010 ± 0.030 (90 %: 1.96 to 2.06)" in detected
     assert "the damping ratio at small amplitude is 1.000 ± 0.010 %" in detected
     limits = iter([0.3, np.nan, 0.088, 2.0, 5.0])
-    text = sentences(changed(recordings, lambda c: replace(c, drag=DragLimit(next(limits), "no rise"))))[-1]
+    drags = (DragLimit("no rise", drag_coefficient_q95=limit) for limit in limits)
+    text = sentences(changed(recordings, lambda c: replace(c, drag=next(drags))))[-1]
     assert "Aerodynamic drag was not detected: drag coefficient below 0.088" in text
 
 
@@ -111,8 +111,8 @@ def test_the_worst_mode_of_each_model(recordings):
     assert rayleigh.ratio == pytest.approx(3.02, abs=0.01)
 
 
-def test_measured_and_simulated_shift_of_the_frequency(recordings, monkeypatch):
-    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
+@pytest.mark.usefixtures("no_figures")
+def test_measured_and_simulated_shift_of_the_frequency(recordings):
     assert "−0.0110 ± 0.0020 −0.012" in Page(build_report(runs.run_result(recordings[:1]))).words
 
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.report.sections.images import first_frame, strip
-from tracker.results import FailedTracking
+from modalcam.report.sections import first_frame, strip
+from tracker import FailedTracking
 
 
 def test_the_strip_shows_start_onset_largest_motion_and_end():
@@ -28,7 +28,12 @@ def test_the_strip_shows_start_onset_largest_motion_and_end():
 
 
 def test_candidates_are_drawn_when_nothing_could_be_tracked():
-    failed = FailedTracking("a", "dark", np.zeros((60, 80), np.uint8), np.array([[10.0, 20.0], [70.0, 30.0]]))
+    failed = FailedTracking(
+        "dark",
+        "a",
+        first_frame=np.zeros((60, 80), np.uint8),
+        seen_px=np.array([[10.0, 20.0], [70.0, 30.0]]),
+    )
     view = first_frame(failed)
     assert [(m.x, m.y, m.name, m.side) for m in view.marks] == [(10.0, 20.0, "1", 1), (70.0, 30.0, "2", -1)]
     assert not view.tracked

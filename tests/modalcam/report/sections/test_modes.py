@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.identified import identification
 from support.html_page import Page
-from support.sim_decays import identification
 
-from modal_id.modes.residual_checks import residual_checks
-from modal_id.posterior.frame_rate import with_rate_error
-from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.build import build_report
-from modalcam.report.derived.signals import instantaneous
-from modalcam.report.sections.recording import Detail, recording_view
+from modal_id.modes import residual_checks
+from modal_id.posterior import with_rate_error
+from modalcam.pipeline import RecordingResult, RunResult, measured_modes
+from modalcam.report import build_report, instantaneous
+from modalcam.report.sections import Detail, recording_view
 
+# only the text is tested
+pytestmark = pytest.mark.usefixtures("no_figures")
 TIME_S = np.arange(3000) / 500.0
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])
 SHAPE = np.array([0.1, -0.6, -0.2, 1.0])
@@ -33,12 +33,6 @@ def recording(name, frequency_hz, damping_ratio, shape=SHAPE):
 
 def result(*recordings):
     return RunResult("folder", recordings, None, (), "", (), "modalcam run folder", 0)
-
-
-@pytest.fixture(autouse=True)
-def no_figures(monkeypatch):
-    """No figures: only the text is tested."""
-    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
 
 
 def test_recordings_that_agree():

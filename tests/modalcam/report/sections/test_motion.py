@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import report_runs as runs
+from kit import runs
 
-from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.sections.motion import AMPLITUDE, LENGTH, moving_shape
+from modalcam.report.figures import RecordingSubject
+from modalcam.report.sections import AMPLITUDE, LENGTH, moving_shape
 
 
 def subject(theory=None):

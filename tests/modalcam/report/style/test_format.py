@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalcam.report.style.format import (
+from modalcam.report.style import (
     count,
     decimals_of,
     fixed,

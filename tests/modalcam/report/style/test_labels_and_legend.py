@@ -5,9 +5,7 @@ from itertools import combinations
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from modalcam.report.style.labels import PointLabel, place_labels
-from modalcam.report.style.legend import legend_above
-from modalcam.report.style.palette import INK, figure_style, new_figure
+from modalcam.report.style import INK, PointLabel, figure_style, legend_above, new_figure, place_labels
 
 LONG = "simulated, Rayleigh damping with the initial, undeformed stiffness matrix of the whole beam"
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalcam.report.style.format import count
-from modalcam.report.style.safe_text import (
+from modalcam.report.style import (
     channel_label,
     command,
+    count,
     figure_label,
     prose,
     quantity,

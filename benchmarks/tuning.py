@@ -1,0 +1,304 @@
+"""Every threshold of the packages: their page, and what changes when one is 0.7 or 1.4 times as large.
+
+``python -m benchmarks.tuning --page docs/tuning.md`` writes the page; ``--measure [--module sim.dynamics] --out
+benchmarks/tuning_effects.csv`` adds the effects that are missing in the table, each measured in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import dataclasses
+import importlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
+EFFECTS = ROOT / "benchmarks" / "tuning_effects.csv"
+FACTORS = (0.7, 1.4)
+SOURCES = ("physics", "statistics", "measurement", "convention")
+_CHOSEN = "convention: chosen; effect not measured"
+COLUMNS = (
+    "module",
+    "name",
+    "value",
+    "factor",
+    "frequency_sd",
+    "damping_sd",
+    "positions_px",
+    "lost",
+    "failures",
+    "effect",
+)
+# changes of less are those of the last digits
+_SMALLEST = 1e-3
+_LONGEST_S = 900.0
+
+_HEAD = """# Thresholds
+
+Each threshold of an algorithm stands in a `Tuning` dataclass of its module with unit, meaning and source: *physics*
+(a derivation), *statistics* (an error rate), *measurement* (a benchmark or test), or *convention* (a choice). This
+page is made from them by `python -m benchmarks.tuning --page docs/tuning.md`.
+
+The last two columns hold what 0.7 and 1.4 times the value change in a short battery of records, films, simulations,
+updates and comparisons (`benchmarks/tuning_battery.py`; `python -m benchmarks.tuning --measure` adds what is
+missing): the largest change of a frequency (f) and of a damping ratio (ζ) in their standard deviations, of positions
+in px (rms), frames more or fewer, and parts that fail. *None* is the same to the last bit; *digits* changes nothing
+by a thousandth of its standard deviation. Counts change by one at least. The battery is too short to judge a
+threshold that rare recordings need.
+"""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One field of a ``Tuning``."""
+
+    module: str
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    source: str
+    why: str
+
+    def changed(self, factor: float) -> float:
+        """The value times a factor; a count changes by one at least."""
+        if not isinstance(self.value, int):
+            return factor * self.value
+        near = round(factor * self.value)
+        return near if near != self.value else self.value + (1 if factor > 1.0 else -1)
+
+
+def modules() -> list[str]:
+    """Names of the modules that define a ``Tuning``."""
+    paths = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    found = [path for path in paths if "\nclass Tuning:" in path.read_text(encoding="utf-8")]
+    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
+
+
+def constants(module: str) -> list[Constant]:
+    """Thresholds of one module in their order."""
+    tuning = importlib.import_module(module).Tuning
+    said = stated(inspect.getsource(tuning))
+    return [Constant(module, f.name, f.default, *said[f.name]) for f in fields(tuning)]
+
+
+def stated(source: str) -> dict[str, tuple[str, str, str, str]]:
+    """Unit, meaning, source and reason of each field of a class, from the lines ``#:`` above it.
+
+    The first line begins with the unit in brackets; a later one with the kind of source. Without the latter the value
+    was chosen.
+    """
+    found, lines = {}, []
+    for line in map(str.strip, source.splitlines()):
+        if line.startswith("#: "):
+            lines.append(line.removeprefix("#: "))
+        elif lines:
+            first = next(
+                (k for k, said in enumerate(lines) if said.partition(": ")[0] in SOURCES), len(lines)
+            )
+            unit, _, meaning = " ".join(lines[:first]).removeprefix("[").partition("] ")
+            kind, _, why = " ".join(lines[first:] or [_CHOSEN]).partition(": ")
+            found[line.partition(":")[0]] = unit, meaning, kind, why
+            lines = []
+    return found
+
+
+def effects(path: Path) -> dict[tuple[str, str, float], dict[str, str]]:
+    """Rows of the table by module, name and factor."""
+    if not path.is_file():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        return {(row["module"], row["name"], float(row["factor"])): row for row in csv.DictReader(file)}
+
+
+def _effect(row: dict[str, str] | None, value: float) -> str:
+    if row is None or float(row["value"]) != value:
+        return ""
+    if row["effect"] != "changed":
+        return row["effect"]
+    names = (("frequency_sd", "f {:.2g} sd"), ("damping_sd", "ζ {:.2g} sd"), ("positions_px", "{:.2g} px"))
+    parts = [text.format(float(row[name])) for name, text in names if float(row[name]) >= _SMALLEST]
+    parts += [
+        f"{int(row[name]):+d} {text}"
+        for name, text in (("lost", "lost"), ("failures", "failed"))
+        if int(row[name])
+    ]
+    return ", ".join(parts) or "digits"
+
+
+def page(measured: dict[tuple[str, str, float], dict[str, str]]) -> str:
+    """docs/tuning.md."""
+    tables, sources, known = [], Counter[str](), 0
+    for module in modules():
+        rows = []
+        for c in constants(module):
+            found = [_effect(measured.get((module, c.name, factor)), c.value) for factor in FACTORS]
+            sources[c.source] += 1
+            known += all(found)
+            cells = (f"`{c.name}`", f"{c.value:g}", c.unit, c.meaning, f"{c.source}: {c.why}", *found)
+            rows.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+        about = (importlib.import_module(module).Tuning.__doc__ or "").strip()
+        head = "| name | value | unit | meaning | source | × 0.7 | × 1.4 |\n| --- | --- | --- | --- | --- | --- | --- |"
+        tables.append("\n".join([f"## {module}", "", about, "", head, *rows]))
+    count = ", ".join(f"{sources[name]} {name}" for name in SOURCES)
+    total = f"{sources.total()} thresholds: {count}. The effect of {known} is measured."
+    return "\n".join([_HEAD, total, "", "\n\n".join(tables), ""])
+
+
+def frozen(constant: Constant) -> bool:
+    """Whether a compiled kernel holds the value: it is then copied at the module's level."""
+    tree = ast.parse((ROOT / (constant.module.replace(".", "/") + ".py")).read_text(encoding="utf-8"))
+    copied = (node for node in tree.body if isinstance(node, ast.Assign))
+    return any(
+        isinstance(part, ast.Attribute) and part.attr == constant.name
+        for node in copied
+        for part in ast.walk(node.value)
+    )
+
+
+def measure(out: Path, chosen: str) -> None:
+    """Add the effects that the table lacks for modules whose names begin with `chosen`."""
+    wanted = [
+        (c, f)
+        for module in modules()
+        if module.startswith(chosen)
+        for c in constants(module)
+        for f in FACTORS
+    ]
+    known = effects(out)
+    todo = [
+        (c, f)
+        for c, f in wanted
+        if (c.module, c.name, f) not in known or float(known[c.module, c.name, f]["value"]) != c.value
+    ]
+    unchanged: dict[str, dict[str, Any]] = {}
+    for k, (constant, factor) in enumerate(todo, 1):
+        start = time.perf_counter()
+        row = _measured(constant, factor, unchanged)
+        known[constant.module, constant.name, factor] = row
+        with out.open("w", encoding="utf-8", newline="") as file:
+            table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            table.writeheader()
+            table.writerows(known[key] for key in sorted(known))
+        what = f"{constant.module}.{constant.name} x {factor}: {_effect(row, constant.value)}"
+        print(f"{k}/{len(todo)} {what}, {time.perf_counter() - start:.0f} s", flush=True)
+
+
+def _measured(constant: Constant, factor: float, unchanged: dict[str, dict[str, Any]]) -> dict[str, str]:
+    from benchmarks.tuning_battery import Difference, Found, affected, difference  # noqa: PLC0415
+
+    total, text = Difference(0.0, 0.0, 0.0, 0, 0, identical=True), ""
+    for part in affected(constant.module):
+        if part not in unchanged:
+            found = _run(part, None, None)
+            if isinstance(found, str):
+                raise RuntimeError(found)
+            unchanged[part] = found
+        found = _run(part, constant, constant.changed(factor))
+        if isinstance(found, str):
+            text = found
+            break
+        total = total.with_worse(difference(Found(**unchanged[part]), Found(**found)))
+    values = {name: f"{value:.3g}" for name, value in asdict(total).items() if name in COLUMNS}
+    effect = text or ("none" if total.identical else "changed")
+    return {
+        "module": constant.module,
+        "name": constant.name,
+        "value": repr(constant.value),
+        "factor": str(factor),
+        **values,
+        "effect": effect,
+    }
+
+
+def _run(part: str, constant: Constant | None, value: float | None) -> dict[str, Any] | str:
+    """What a part finds in another process with one constant changed, or how that ended."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "found.json"
+        environment = os.environ | {"OMP_NUM_THREADS": "1"}
+        if constant is not None and frozen(constant):
+            environment["NUMBA_CACHE_DIR"] = folder
+        changed = [] if constant is None else [constant.module, constant.name, repr(value)]
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.tuning",
+            "--part",
+            part,
+            "--out",
+            str(out),
+            "--changed",
+            *changed,
+        ]
+        try:
+            done = subprocess.run(  # noqa: S603 - this file
+                command,
+                cwd=ROOT,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=_LONGEST_S,
+            )
+        except subprocess.TimeoutExpired:
+            return "does not end"
+        if done.returncode != 0:
+            return f"stops: {done.stderr.strip().splitlines()[-1].split(':')[0]}"
+        found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+        return found
+
+
+def change(module: str, name: str, value: float) -> None:
+    """Let a module that is not imported yet have another value of one of its thresholds."""
+    original = dataclasses.dataclass
+
+    def decorated(cls: Any = None, /, **options: Any) -> Any:
+        if cls is None:
+            return lambda given: decorated(given, **options)
+        if (cls.__module__, cls.__name__) == (module, "Tuning"):
+            setattr(cls, name, value)
+        return original(cls, **options)
+
+    dataclasses.dataclass = decorated  # type: ignore[assignment]
+
+
+def _part(name: str, changed: list[str], out: Path) -> None:
+    if changed:
+        change(changed[0], changed[1], ast.literal_eval(changed[2]))
+    from benchmarks.tuning_battery import PARTS  # noqa: PLC0415 - after the change
+
+    out.write_text(json.dumps(asdict(PARTS[name]())), encoding="utf-8")
+
+
+def main() -> None:
+    """Run as a command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--page", type=Path)
+    parser.add_argument("--measure", action="store_true")
+    parser.add_argument("--module", default="")
+    parser.add_argument("--out", type=Path, default=EFFECTS)
+    parser.add_argument("--part", help=argparse.SUPPRESS)
+    parser.add_argument("--changed", nargs="*", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.part:
+        _part(given.part, given.changed or [], given.out)
+    if given.measure:
+        measure(given.out, given.module)
+    if given.page:
+        given.page.write_text(page(effects(given.out)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

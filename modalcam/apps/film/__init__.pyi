@@ -1,0 +1,17 @@
+from .beam import film_config as film_config
+from .beam import film_run as film_run
+from .cli import demo as demo
+from .cli import preview as preview
+from .cli import render as render
+from .exaggerated import FRAMES as FRAMES
+from .exaggerated import ExaggeratedFilm as ExaggeratedFilm
+from .exaggerated import exaggerated_film as exaggerated_film
+from .exaggerated import write_film as write_film
+from .footage import KeptFrames as KeptFrames
+from .footage import SimulatedFootage as SimulatedFootage
+from .footage import chosen_rows as chosen_rows
+from .footage import read_kept_frames as read_kept_frames
+from .footage import reduced as reduced
+from .section import film as film
+from .simulated import film_simulation as film_simulation
+from .simulated import rendered_markers as rendered_markers

@@ -1,0 +1,5 @@
+"""A measurement planned: which intervals this camera, beam and marker would give."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,194 @@
+"""List of the recordings: what they are, at what rate they were recorded, and their problems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+from modalcam.apps.studio.frames import markers_text
+from modalcam.apps.studio.markers import parse_rate
+from modalcam.apps.studio.views.shared import PageState, button, heading, in_thread, scrolled, table_head
+from modalcam.common import shown
+from modalcam.inputs import RATE_UNKNOWN, Probe
+
+RATE_WARNING = (
+    "The recorded rate is not the playback rate. A high-speed video stored with 30 fps may contain frames recorded at "
+    "1000 fps; every frequency is then wrong by a factor of 33. Give the rate at which the scene was recorded."
+)
+_TYPE_RATE = f"{RATE_UNKNOWN}: type it in this row, or above for all recordings"
+_COLUMNS = (
+    "first frame",
+    "recording",
+    "size / px",
+    "frames",
+    "rate in the file",
+    "recorded rate / fps",
+    "in the run",
+    "markers",
+)
+# Recordings on one page of the list.
+_PER_PAGE = 50
+
+
+class RecordingsView:
+    """The list, filled in when the recordings have been read."""
+
+    def __init__(self, state: PageState, show_frame: Callable[[], None]) -> None:
+        self._state = state
+        self._show_frame = show_frame
+        self._probes: tuple[Probe, ...] = ()
+        self._page = 1
+        self._rates: dict[int, Any] = {}
+        self._notes: dict[int, Any] = {}
+        self._markers: dict[int, Any] = {}
+        self._included: dict[int, Any] = {}
+        self._facts: dict[int, tuple[Any, ...]] = {}
+        heading(f"Recordings of {shown(state.studio.folder.name)}")
+        self._rate_box()
+        self._list()
+        state.when_draft_changes(self._update)
+        ui.timer(0.1, self._read, once=True)
+
+    async def _read(self) -> None:
+        self._probes = await in_thread(self._state.studio.probes)
+        self._update()
+
+    def _rate_box(self) -> None:
+        draft = self._state.studio.draft
+        with ui.card().classes("notice").props('role="note"'):
+            ui.label(RATE_WARNING)
+            rate = ui.input("Recorded rate of all recordings / fps").classes("rate").props("outlined dense")
+            rate.on("change", lambda: self._set_for_all(rate.value))
+
+        def refresh() -> None:
+            given = draft.config.camera.fps
+            rate.value = "" if given is None else _rate_text(given)
+
+        refresh()
+        self._state.when_draft_changes(refresh)
+
+    def _set_for_all(self, text: str) -> None:
+        draft = self._state.studio.draft
+        self._state.attempt(lambda: draft.set_for_all("camera", "fps", parse_rate(text)))
+
+    @ui.refreshable_method
+    def _list(self) -> None:
+        self._rates, self._notes, self._markers, self._facts, self._included = {}, {}, {}, {}, {}
+        recordings = self._state.studio.recordings
+        first = (self._page - 1) * _PER_PAGE
+        with scrolled(), ui.element("table").classes("list"):
+            table_head(_COLUMNS)
+            with ui.element("tbody"):
+                for number in range(first, min(first + _PER_PAGE, len(recordings))):
+                    self._row(number)
+        if len(recordings) > _PER_PAGE:
+            pages = -(-len(recordings) // _PER_PAGE)
+            ui.pagination(1, pages, value=self._page, on_change=lambda event: self._turn(event.value))
+        for note in self._state.studio.notes:
+            ui.label(note)
+
+    def _turn(self, page: int) -> None:
+        self._page = page
+        self._list.refresh()
+
+    def _row(self, number: int) -> None:
+        found = self._state.studio.recordings[number]
+        name = shown(found.file)
+        with ui.element("tr").classes("facts"):
+            with ui.element("td"):
+                picture = ui.element("img").classes("thumbnail").props('loading="lazy" width="96"')
+                picture.props["src"] = f"/thumbnail/{number}.png"
+                picture.props["alt"] = f"First frame of {name}"
+            with ui.element("th").props('scope="row"'):
+                ui.label(name)
+            self._facts[number] = tuple(_cell() for _ in range(3))
+            with ui.element("td"):
+                self._rate(number)
+            with ui.element("td"):
+                self._include(number)
+            with ui.element("td"), ui.row().classes("actions"):
+                self._markers[number] = ui.label("")
+                open_it = button("Set markers", lambda: self._open(number), f"Set markers of {name}")
+                open_it.props("no-caps no-wrap")
+        with ui.element("tr").classes("notes"), ui.element("td").props(f"colspan={len(_COLUMNS)}"):
+            self._notes[number] = ui.label("")
+        self._update_row(number)
+
+    def _rate(self, number: int) -> None:
+        state = self._state
+        file = state.studio.recordings[number].file
+        box = ui.input().props("outlined dense").classes("rate")
+        box.props["aria-label"] = f"Recorded rate of {shown(file)} in frames per second"
+
+        def change() -> None:
+            if box.value != self._given(number):
+                state.attempt(lambda: state.studio.draft.set_for(file, {"fps": parse_rate(box.value)}))
+
+        box.on("change", change)
+        self._rates[number] = box
+
+    def _include(self, number: int) -> None:
+        state = self._state
+        file = state.studio.recordings[number].file
+
+        def change(event: Any) -> None:
+            if event.value == state.studio.draft.recording(file).leave_out:
+                wanted = None if event.value else True
+                state.attempt(lambda: state.studio.draft.set_for(file, {"leave_out": wanted}))
+
+        box = ui.checkbox(value=True, on_change=change)
+        box.props["aria-label"] = f"Include {shown(file)} in the run"
+        self._included[number] = box
+
+    def _given(self, number: int) -> str:
+        studio = self._state.studio
+        given = studio.draft.recording(studio.recordings[number].file).fps
+        return "" if given is None else _rate_text(given)
+
+    def _update(self) -> None:
+        # In place: a row that was built anew would lose the focus, and a click on it.
+        for number in self._rates:
+            self._update_row(number)
+
+    def _update_row(self, number: int) -> None:
+        given = self._given(number)
+        self._rates[number].value = given
+        studio = self._state.studio
+        recording = studio.draft.recording(studio.recordings[number].file)
+        self._markers[number].text = markers_text(recording)
+        self._included[number].value = not recording.leave_out
+        probe = self._probes[number] if self._probes else None
+        for label, text in zip(self._facts[number], _facts(probe), strict=True):
+            label.text = shown(text)
+        known = None if probe is None else probe.fps_recorded
+        self._rates[number].props["placeholder"] = (
+            "unknown" if known is None else f"{known:g} (camera header)"
+        )
+        if probe is not None:
+            notes = [n for n in probe.notes if not n.startswith(RATE_UNKNOWN)]
+            if len(notes) < len(probe.notes) and not given:
+                notes.append(_TYPE_RATE)
+            texts = (text.rstrip(".") for text in (probe.problem, *notes) if text)
+            self._notes[number].text = shown("; ".join(texts))
+
+    def _open(self, number: int) -> None:
+        self._state.choose(number)
+        self._show_frame()
+
+
+def _facts(probe: Probe | None) -> tuple[str, str, str]:
+    if probe is None:
+        return "reading", "", ""
+    rate = "" if probe.fps_container is None else f"{probe.fps_container:g}"
+    return probe.size_px, str(probe.packets or ""), rate
+
+
+def _cell() -> Any:
+    with ui.element("td"):
+        return ui.label("")
+
+
+def _rate_text(rate: Any) -> str:
+    return f"{float(rate):g}" if float(f"{float(rate):g}") == rate else str(rate)

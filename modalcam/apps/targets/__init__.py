@@ -1,0 +1,5 @@
+"""Printable markers and boards, and the calibration of a lens with them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,0 @@
-"""The same beam in several runs: differences and scatter of its modes."""

@@ -1,1 +1,0 @@
-"""Files of OUT for other programs."""

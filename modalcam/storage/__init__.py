@@ -1,1 +1,0 @@
-"""The folder of the results: its files, saved results, and the hashes that decide whether they are valid."""

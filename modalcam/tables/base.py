@@ -1,0 +1,59 @@
+"""What an output format is: a description and the files that it contributes to OUT."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from modalcam.config import ExperimentConfig
+from modalcam.pipeline import RunResult, Workspace
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file of OUT and the function that writes it, again only when the results that it shows or the code changed.
+
+    `about` says in the report what the file holds: the description of its writer.
+    """
+
+    path: Path
+    shows: object
+    write: Callable[[Path], object]
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Writer:
+    """One output format.
+
+    Attributes
+    ----------
+    files : str
+        Path pattern in OUT, such as ``tracks/<recording>.csv``.
+    description : str
+        Content of a file, for docs/files.md.
+    outputs : callable
+        Of workspace, result of the run and configuration: the files to write.
+    libraries, extra : tuple of str, str
+        Optional modules that the format needs, and the extra of modalcam that installs them.
+    """
+
+    name: str
+    files: str
+    description: str
+    outputs: Callable[[Workspace, RunResult, ExperimentConfig], Iterable[Output]]
+    libraries: tuple[str, ...] = ()
+    extra: str = ""
+
+    @property
+    def missing(self) -> str:
+        """Sentence about the libraries that the format lacks; empty if it can be written."""
+        absent = [name for name in self.libraries if importlib.util.find_spec(name) is None]
+        if not absent:
+            return ""
+        return (
+            f"{self.files} was not written: {' and '.join(absent)} not installed; "
+            f'install with pip install "modalcam[{self.extra}]".'
+        )

@@ -1,0 +1,63 @@
+"""Registry of the columns of every table in OUT: each is declared once, with its name, unit, meaning and value.
+
+The columns of a result stand next to its class, so that its data frame has them too: those of modes in
+`modal_id/columns.py`, of tracks in `tracker/results.py`, of comparisons in `sim/comparison/results.py`, of the updating
+in `sim/updating/update.py`. To add a column, write a `Column` into the tuple of its table; CSV, JSON and
+docs/columns.md follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from modal_id import DAMPING, MODE_COLUMNS
+from sim.comparison import COMPARISON_COLUMNS
+from sim.updating import UPDATING_COLUMNS
+from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
+
+_MODE = COMPARISON_COLUMNS[1]
+_RECORDING = Column("recording", "", "name of the recording")
+# Of a `ShapePoint`.
+SHAPE_COLUMNS = (
+    _RECORDING,
+    replace(_MODE, text="number of the beam's mode; empty where unknown", get=lambda at: at.mode.number),
+    Column("frequency_hz", "Hz", "as in `modes.csv`", lambda at: at.mode.frequency_hz),
+    Column("marker", "", "name of the marker"),
+    Column("position_mm", "mm", "distance from the clamp"),
+    Column("shape", "1", "in-phase part of the shape, whose largest modulus is 1", lambda at: at.shape.real),
+    Column("shape_out_of_phase", "1", "its out-of-phase part", lambda at: at.shape.imag),
+    Column("shape_sd", "1", "standard deviation of each part"),
+    Column("curvature_1_m2", "1/m²", "second derivative of `shape` by the distance from the clamp"),
+    Column("curvature_sd_1_m2", "1/m²", "its standard deviation"),
+)
+# Of the drag in one recording: in summary.json only.
+DRAG_COLUMNS = (
+    Column("drag_coefficient", "1", "coefficient for the width of the beam"),
+    Column("drag_coefficient_sd", "1", "its standard deviation; 0 for a given coefficient"),
+    Column("drag_coefficient_q05", "1", "5 % quantile"),
+    Column("drag_coefficient_q95", "1", "95 % quantile; the upper limit where no drag was detected"),
+    replace(DAMPING[0], text="damping ratio at small amplitude"),
+    DAMPING[1],
+)
+TABLES: Mapping[str, tuple[Column, ...]] = {
+    "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),
+    "modes.csv": (_RECORDING, *MODE_COLUMNS),
+    "shapes.csv": SHAPE_COLUMNS,
+    "comparison.csv": COMPARISON_COLUMNS,
+    "updating.csv": UPDATING_COLUMNS,
+    "summary.json, drag": (_RECORDING, _MODE, *DRAG_COLUMNS),
+}
+
+
+def markdown() -> str:
+    """The page docs/columns.md, which `python docs/columns.py` writes."""
+    lines = [
+        "# Columns of the tables",
+        "",
+        "[Files of a run](files.md) explains the tables. NaN, or an empty cell, is a value that is not known.",
+    ]
+    for table, columns in TABLES.items():
+        lines += ["", f"## `{table}`", "", "| column | unit | meaning |", "| --- | --- | --- |"]
+        lines += [f"| `{one.name}` | {one.unit} | {one.text} |" for one in columns]
+    return "\n".join(lines) + "\n"

@@ -1,1 +1,0 @@
-"""Printable markers and calibration boards."""

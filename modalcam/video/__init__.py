@@ -1,1 +1,0 @@
-"""Footage of the simulated beam, and footage with the tracks drawn in."""

@@ -1,0 +1,15 @@
+from .excitation import HarmonicThenStop as HarmonicThenStop
+from .excitation import SimulationError as SimulationError
+from .excitation import released_state as released_state
+from .excitation import shake_and_stop as shake_and_stop
+from .excitation import simulate_free_decay as simulate_free_decay
+from .excitation import state_from_modes as state_from_modes
+from .excitation import state_with_coordinates as state_with_coordinates
+from .excitation import steady_response as steady_response
+from .simulate import BaseMotion as BaseMotion
+from .simulate import FailedSimulation as FailedSimulation
+from .simulate import State as State
+from .simulate import Trajectory as Trajectory
+from .simulate import fitted_modes as fitted_modes
+from .simulate import longest_step_s as longest_step_s
+from .simulate import simulate as simulate

@@ -1,1 +1,0 @@
-"""The paper's beam and tables."""

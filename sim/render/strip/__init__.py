@@ -1,1 +1,0 @@
-"""The bare beam seen edge-on: its centreline, surface and image."""

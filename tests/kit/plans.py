@@ -1,0 +1,21 @@
+"""Planning requests for the tests."""
+
+from kit.beams import BEAM
+from modalcam.apps.plan import plan_request
+from modalcam.config import ExperimentConfig
+
+
+def plan_of(camera=None, markers=None, plan=None, recordings=()):
+    config = {
+        "camera": {"fps": 500, "mm_per_px": 2.0, **(camera or {})},
+        "markers": {
+            "kind": "blob",
+            "size_mm": 20.0,
+            "positions_mm": [190.0, 390.0, 480.0],
+            **(markers or {}),
+        },
+        "beam": BEAM,
+        "plan": {"modes": [2, 3], **(plan or {})},
+        "recordings": recordings,
+    }
+    return plan_request(ExperimentConfig.model_validate(config), "experiment.toml")

@@ -1,0 +1,116 @@
+"""The registry of output formats: a format of a plugin, a format without its library, the documentation."""
+
+import builtins
+import importlib.util
+import json
+
+import pytest
+from kit.identified import identification_of
+from kit.runs import beam_result, compared, paper_recordings, run_result
+from support.paths import ROOT
+
+from modalcam.common import InputError
+from modalcam.config import ExperimentConfig
+from modalcam.inputs import read_uff
+from modalcam.pipeline import RecordingResult, RunResult, Workspace
+from modalcam.tables import WRITERS, Output, Writer, outputs, register_writer, with_missing_formats
+
+
+@pytest.fixture
+def result():
+    recording = RecordingResult("take", "take.avi", "00", 2, identification=identification_of(fps=600.0))
+    versions = (("modalcam", "0"),)
+    return RunResult("folder", (recording,), None, (), "", versions, "modalcam run folder", 0)
+
+
+@pytest.fixture
+def writers(monkeypatch):
+    copy = dict(WRITERS)
+    monkeypatch.setattr("modalcam.tables.writers.WRITERS", copy)
+    return copy
+
+
+def write_all(out, result):
+    for output in outputs(Workspace(out), result, ExperimentConfig()):
+        output.write(output.path)
+
+
+def count_outputs(workspace, result, config):
+    def write(path):
+        path.write_text(str(len(result.recordings)))
+
+    yield Output(workspace.out / "count.txt", result, write)
+
+
+TOY = Writer("count", "count.txt", "number of recordings", count_outputs)
+
+
+def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
+    register_writer(TOY)
+    write_all(tmp_path, result)
+    assert (tmp_path / "count.txt").read_text() == "1"
+    assert list(writers)[-1] == "count"
+    names = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    expected = {
+        "modes.csv",
+        "shapes.csv",
+        "comparison.csv",
+        "updating.csv",
+        "summary.json",
+        "run.toml",
+        "count.txt",
+    }
+    assert names == expected | {"posterior/take.nc", "universal/take.uff"}
+    assert len(json.loads((tmp_path / "summary.json").read_text())["recordings"]) == 1
+
+
+def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):
+    full = run_result(compared(paper_recordings(2)), beam=beam_result(elements=6))
+    for out, result in (("full", full), ("empty", run_result())):
+        for name in ("modes", "comparison", "updating"):
+            for output in WRITERS[name].outputs(Workspace(tmp_path / out), result, ExperimentConfig()):
+                output.write(output.path)
+    for name in ("modes", "comparison", "updating"):
+        header, *rows = (tmp_path / "full" / f"{name}.csv").read_text().splitlines()
+        assert rows
+        assert "NaN" not in rows[0].split(",")[:2]
+        assert (tmp_path / "empty" / f"{name}.csv").read_text() == f"{header}\n"
+
+
+def test_names_are_unique(writers):
+    register_writer(TOY)
+    register_writer(TOY)
+    with pytest.raises(ValueError, match="'count' is registered already"):
+        register_writer(Writer("count", "other.txt", "something else", count_outputs))
+
+
+def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, writers, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pyuff" else find(name))
+    write_all(tmp_path, result)
+    assert not (tmp_path / "universal").exists()
+    assert (tmp_path / "posterior" / "take.nc").exists()
+    (note,) = with_missing_formats(result).not_done
+    assert note == (
+        "universal/<recording>.uff was not written: pyuff not installed; "
+        'install with pip install "modalcam[uff]".'
+    )
+
+
+def test_reading_a_universal_file_names_the_missing_library(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == "pyuff":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(InputError, match=r"modalcam\[uff\]"):
+        read_uff(tmp_path / "a.uff", name="a", unit="1")
+
+
+@pytest.mark.parametrize("writer", WRITERS.values(), ids=list(WRITERS))
+def test_the_documentation_lists_every_format(writer):
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    assert f"| `{writer.files}` | {writer.description} |" in page

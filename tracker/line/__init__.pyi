@@ -1,0 +1,17 @@
+from . import calibrate as calibrate
+from . import follower as follower
+from . import kernel as kernel
+from . import model as model
+from . import stations as stations
+from .calibrate import calibrate_line as calibrate_line
+from .curve import Centreline as Centreline
+from .find import find_line as find_line
+from .follower import LineFollower as LineFollower
+from .light import UNKNOWN_LIGHT as UNKNOWN_LIGHT
+from .light import learned_light as learned_light
+from .model import LineModel as LineModel
+from .noise import codec_skipped as codec_skipped
+from .noise import line_sd_factor as line_sd_factor
+from .profile import ProfileSums as ProfileSums
+from .stations import LINES as LINES
+from .stations import ORDER as ORDER

@@ -1,1 +1,0 @@
-"""Headers that cameras write beside or into their recordings."""
