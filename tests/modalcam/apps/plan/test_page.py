@@ -1,6 +1,6 @@
 """A plan in the terminal and as a page."""
 
-from kit.plans import BEAM, plan_of
+from kit.beams import BEAM
 from support.html_page import assert_sound
 from typer.testing import CliRunner
 
@@ -27,7 +27,7 @@ def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):
     assert "Tip amplitudes of 10 mm over the mode number squared" in found.words
 
 
-def test_trials_are_shown_with_the_prediction_and_the_reasons_of_failures():
+def test_trials_are_shown_with_the_prediction_and_the_reasons_of_failures(plan_of):
     request = plan_of(plan={"modes": [2]})
     modes = predict(request)
     sd = modes[0].damping_sd
@@ -38,7 +38,7 @@ def test_trials_are_shown_with_the_prediction_and_the_reasons_of_failures():
     assert "identified in 4 of 5 rendered recordings. No marker was seen." in words
 
 
-def test_a_plan_is_plotted_with_its_intervals():
+def test_a_plan_is_plotted_with_its_intervals(plan_of):
     request = plan_of()
     axes = Plan(request, predict(request)).plot()
     assert "damping ratio" in axes.get_ylabel()

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from kit.plans import plan_of
 
 from modalcam.apps.plan import Plan, advice, predict
 from modalcam.report.style import significant
 
 
-def test_the_tolerance_of_the_rate_adds_to_the_frequency_alone():
+def test_the_tolerance_of_the_rate_adds_to_the_frequency_alone(plan_of):
     """100 and 100 000 ppm of 10.6 Hz, in quadrature with the noise."""
     exact, some, much = (
         predict(plan_of(plan={"modes": [2]}, camera=camera))[0]
@@ -25,7 +24,7 @@ def noise_sd(mode):
     return mode.damping_sd / mode.template_factor
 
 
-def test_intervals_scale_with_amplitude_and_rate():
+def test_intervals_scale_with_amplitude_and_rate(plan_of):
     (base,) = predict(plan_of(plan={"modes": [2]}))
     (twice,) = predict(plan_of(plan={"modes": [2], "tip_amplitude_mm": [5.0]}))
     assert noise_sd(base) / noise_sd(twice) == pytest.approx(2.0, rel=1e-6)
@@ -36,7 +35,7 @@ def test_intervals_scale_with_amplitude_and_rate():
     assert fast.template_factor > base.template_factor > 1.0
 
 
-def test_limits_and_expected_failures_are_reported():
+def test_limits_and_expected_failures_are_reported(plan_of):
     slow = predict(plan_of({"fps": 50}))
     texts = advice(Plan(plan_of(), slow))
     assert any("Aliased" in w and "20.74 Hz" in w for w in texts if w.startswith("Mode 3: ")), texts
@@ -54,7 +53,7 @@ def test_limits_and_expected_failures_are_reported():
     assert node.limits[0].factor > 10.0
 
 
-def test_a_nonlinear_amplitude_is_reported_with_the_largest_linear_one():
+def test_a_nonlinear_amplitude_is_reported_with_the_largest_linear_one(plan_of):
     (large,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [1.5], "decay_s": 2.0}))
     assert large.linear_tip_mm < 1.0
     (small,) = predict(

@@ -5,7 +5,7 @@ import importlib
 import re
 
 import pytest
-from kit.plans import BEAM, plan_of
+from kit.beams import BEAM
 from support.paths import ROOT, SAMPLES
 
 import modalcam
@@ -29,7 +29,7 @@ def request(**sections):
         ({"markers": {"positions_mm": None}}, "markers.positions_mm"),
     ],
 )
-def test_missing_and_mismatched_keys_are_named(changes, words):
+def test_missing_and_mismatched_keys_are_named(changes, words, plan_of):
     with pytest.raises(ConfigError, match=words):
         plan_of(**changes)
 
@@ -55,7 +55,7 @@ def test_every_missing_key_of_the_beam_and_of_a_recording_is_named_at_once():
         ({"markers": {"positions_mm": [1e-300]}}, "not determined by frames"),
     ],
 )
-def test_numbers_that_no_experiment_has_are_refused(changes, words):
+def test_numbers_that_no_experiment_has_are_refused(changes, words, plan_of):
     with pytest.raises(ValueError, match=words):
         predict(plan_of(**changes))
 

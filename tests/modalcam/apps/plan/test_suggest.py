@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from kit.plans import plan_of
 
 from modalcam.apps.plan import better_positions, frame_rates, predict
 
 
-def test_better_positions_narrow_the_intervals_and_are_far_enough_apart():
+def test_better_positions_narrow_the_intervals_and_are_far_enough_apart(plan_of):
     asked = plan_of(markers={"positions_mm": [20.0, 60.0, 391.0]})
     (positions,) = better_positions(asked)
     assert np.all(np.diff(positions.positions_mm) >= 20.0)
@@ -17,7 +16,7 @@ def test_better_positions_narrow_the_intervals_and_are_far_enough_apart():
         assert then.damping_sd / now.damping_sd == pytest.approx(factor, rel=0.02)
 
 
-def test_suggested_frame_rates_separate_the_modes():
+def test_suggested_frame_rates_separate_the_modes(plan_of):
     asked = plan_of()
     modes = predict(asked)
     found = frame_rates(modes)
@@ -28,7 +27,7 @@ def test_suggested_frame_rates_separate_the_modes():
         assert rate.aliased == (max(m.frequency_hz for m in modes) > 0.5 * rate.fps)
 
 
-def test_suggestions_follow_the_setup_of_each_recording():
+def test_suggestions_follow_the_setup_of_each_recording(plan_of):
     """A mode recorded with another camera and other markers has separate suggestions."""
     near_node = {"positions_mm": [20.0, 60.0, 391.0]}
     recordings = [

@@ -1,11 +1,13 @@
 """Planning requests for the tests."""
 
+import pytest
 from kit.beams import BEAM
+
 from modalcam.apps.plan import plan_request
 from modalcam.config import ExperimentConfig
 
 
-def plan_of(camera=None, markers=None, plan=None, recordings=()):
+def request_of(camera=None, markers=None, plan=None, recordings=()):
     config = {
         "camera": {"fps": 500, "mm_per_px": 2.0, **(camera or {})},
         "markers": {
@@ -19,3 +21,9 @@ def plan_of(camera=None, markers=None, plan=None, recordings=()):
         "recordings": recordings,
     }
     return plan_request(ExperimentConfig.model_validate(config), "experiment.toml")
+
+
+@pytest.fixture
+def plan_of():
+    """``plan_of(camera, markers, plan, recordings)``: a request with these keys, for a beam with three dots."""
+    return request_of
