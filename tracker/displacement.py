@@ -1,6 +1,6 @@
 """Displacement from tracks: along one direction common to all markers, references subtracted.
 
-Markers that are lost at the same phase of every cycle: the rest of their track fits wrong frequencies as well.
+A marker lost at the same phase of every cycle is reported: the rest of its track fits wrong frequencies as well.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Quality flags of a marker in a frame: one registry for data, documentation and decoder.
 
-Severity of a quality flag: what it means for the result.
+The severity of a flag states what it means for the result.
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ TUNING = Tuning()
 ClampSide = Literal["top", "bottom", "left", "right"]
 PatchShape = Literal["square", "round"]
 LineFeature = Literal["strip", "edge", "auto"]
-# They become headings of tables and labels in files of other programs.
 _NAME = re.compile(rf"[A-Za-z](?:[A-Za-z0-9 _.-]{{0,{TUNING.longest_name - 2}}}[A-Za-z0-9_.-])?")
 
 

@@ -1,6 +1,6 @@
 """Registration of single markers, starting from their last good state.
 
-Storage of results while the length of the recording is not yet known.
+`RowStore` holds the results of all frames while the length of the recording is not yet known.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Tracking through all frames of a recording.
 
-Thumbnails kept while a recording is tracked: evenly spaced frames, and the frame of largest displacement.
-
-Repeated frames: a camera, codec or converter shows an image again although the scene was moving.
+Thumbnails of evenly spaced frames and of the one with the largest displacement are kept. Frames that a camera, codec or
+converter shows again although the scene was moving are found afterwards.
 """
 
 from __future__ import annotations

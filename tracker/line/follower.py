@@ -242,9 +242,6 @@ def matched_offsets(
     return (path + half - reach).astype(np.float64), score[np.arange(len(path)), path]
 
 
-# Half sizes of the searches across the predicted line, relative to its windows, and least correlation of a match.
-
-
 class LineFrame(NamedTuple):
     """Result of a frame: flags (m,), and x, y, their sd in px and their correlation (5, m)."""
 

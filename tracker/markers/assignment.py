@@ -1,7 +1,8 @@
 """Which spot is which marker, for markers of the same appearance: all are assigned together.
 
 One marker alone cannot be told from its neighbour that has taken its place. All together can: a shift by one place
-leaves a marker at one end without a spot and a spot at the other end without a marker.
+leaves a marker at one end without a spot and a spot at the other end without a marker. The order along the beam, and
+regions in which no marker is sought, are determined here as well.
 """
 
 from __future__ import annotations
