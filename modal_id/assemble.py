@@ -43,10 +43,8 @@ class Tuning:
     """Bands of a driven line."""
 
     #: [bins] half-width of the band of a driven line in bins of 1 / span
-    #: convention: Chosen; effect not measured.
     own_bins: float = 3.0
     #: [half-widths] outer edge of the band of the noise beside it
-    #: convention: Chosen; effect not measured.
     beside: float = 6.0
 
 

@@ -19,22 +19,17 @@ class Tuning:
     """Laws of the damping and their average."""
 
     #: [1] prior sd of the change of the decay rate over all amplitudes, over the rate
-    #: convention: Chosen; effect not measured.
     law_decay_change: float = 2.0
     #: [1] prior sd of the change of the frequency over all amplitudes, over the frequency
-    #: convention: Chosen; effect not measured.
     law_angular_change: float = 0.02
     #: [1] log odds against a law that is left out of the average
     #: physics: exp(-40) of the weight.
     negligible: float = 40.0
     #: [1] points of the curve
-    #: convention: Chosen; effect not measured.
     points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
-    #: convention: Chosen; effect not measured.
     adequate: float = 1.5
     #: [1] the same from which it is not
-    #: convention: Chosen; effect not measured.
     inadequate: float = 2.5
 
 

@@ -17,13 +17,10 @@ class Tuning:
     """Blocks of the amplitude curve."""
 
     #: [cycles] shortest block
-    #: convention: Chosen; effect not measured.
     cycles: float = 2.0
     #: [1] blocks at most
-    #: convention: Chosen; effect not measured.
     max_blocks: int = 300
     #: [samples] fewest samples of a block
-    #: convention: Chosen; effect not measured.
     least_samples: int = 8
     #: [1] condition above which a block is left out
     #: physics: Rounding of 1e-16 leaves eight digits.

@@ -16,10 +16,8 @@ class Tuning:
     """Convergence of a law."""
 
     #: [1] iterations
-    #: convention: Chosen; effect not measured.
     max_iterations: int = 40
     #: [1] halvings of a step
-    #: convention: Chosen; effect not measured.
     max_halvings: int = 10
     #: [1] twice the gain in log posterior density of a further step at convergence
     #: statistics: A step of a thirtieth of a standard deviation.

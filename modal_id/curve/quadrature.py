@@ -23,13 +23,10 @@ class Tuning:
     #: physics: exp(-14) = 8e-7 of the largest.
     deepest: float = 14.0
     #: [1] log amplitude below the largest that stands for zero amplitude
-    #: convention: Chosen; effect not measured.
     far: float = 1e4
     #: [1] factor on the depth where it does not suffice
-    #: convention: Chosen; effect not measured.
     deeper: float = 1.5
     #: [1] times that it is deepened
-    #: convention: Chosen; effect not measured.
     attempts: int = 8
 
 

@@ -20,28 +20,21 @@ class Tuning:
     """The flexible law of the amplitude curve."""
 
     #: [blocks] fewest blocks
-    #: convention: Chosen; effect not measured.
     least_blocks: int = 12
     #: [sd] amplitude of the first block that is no longer used
-    #: convention: Chosen; effect not measured.
     least_snr: float = 4.0
     #: [1] sum of squared amplitudes over noise variance, to the end, that determines the rates
     #: statistics: Ten standard deviations.
     least_energy: float = 100.0
     #: [blocks] half the window over which the noise is averaged
-    #: convention: Chosen; effect not measured.
     window: int = 7
     #: [1] passes of noise and fit
-    #: convention: Chosen; effect not measured.
     passes: int = 3
     #: [1] knots per unit of the log amplitude
-    #: convention: Chosen; effect not measured.
     knots_per_unit: float = 3.0
     #: [1] knots at most
-    #: convention: Chosen; effect not measured.
     most_knots: int = 16
     #: [blocks] blocks to a knot, at least
-    #: convention: Chosen; effect not measured.
     blocks_per_knot: int = 4
 
 

@@ -25,7 +25,6 @@ class Tuning:
     #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
     even: float = 0.9
     #: [samples] fewest samples that show it
-    #: convention: Chosen; effect not measured.
     least_samples: int = 12
 
 

@@ -14,7 +14,6 @@ class Tuning:
     """Pauses."""
 
     #: [1] length of a pause in steps over the number of samples from which it is an error of the time stamps
-    #: convention: Chosen; effect not measured.
     long: float = 10.0
 
 

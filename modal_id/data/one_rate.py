@@ -25,10 +25,8 @@ class Tuning:
     #: physics: A missing sample doubles a step.
     same_rate: float = 1.9
     #: [1] share of samples and duration below which a stretch is no other rate
-    #: convention: Chosen; effect not measured.
     least_share: float = 0.05
     #: [1] rates that a message lists
-    #: convention: Chosen; effect not measured.
     listed: int = 4
 
 

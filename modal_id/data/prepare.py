@@ -22,13 +22,11 @@ class Tuning:
     """Which channels can be used."""
 
     #: [1] share of finite samples below which a channel is left out
-    #: convention: Chosen; effect not measured.
     min_finite: float = 0.3
     #: [1] range of a channel over the stated sd below which it is rounding
     #: physics: The range of noise with this sd is above three times the sd.
     rounding: float = 0.01
     #: [1] channels that a note names
-    #: convention: Chosen; effect not measured.
     most_names: int = 8
 
 

@@ -27,22 +27,17 @@ class Tuning:
     #: statistics: Noise exceeds it with 1e-4, by simulation 2 to 4 with 1e-2 to 1e-3.
     tracy_widom: float = 5.0
     #: [1] components
-    #: convention: Chosen; effect not measured.
     most_components: int = 40
     #: [1] passes with all directions
-    #: convention: Chosen; effect not measured.
     most_passes: int = 12
     #: [sd] largest change of a value filled in at the end of the passes
-    #: convention: Chosen; effect not measured.
     settled: float = 0.1
     #: [sd] deviation from the mean of its neighbours above which a sample does not shape the first basis
-    #: convention: Chosen; effect not measured.
     spike_sd: float = 8.0
     #: [1] channels to a component below which nothing is projected
     #: physics: The components are hardly less than the channels.
     channels_each: int = 3
     #: [1] noise over a channel's motion below which it is that of rounding
-    #: convention: Chosen; effect not measured.
     least_noise: float = 1e-6
     #: [1] measured noise over the stated sd below which it is not that of positions
     #: measurement: Filmed forks in predictive codecs have 0.01 to 0.4, others 0.4 to 1.2.

@@ -16,7 +16,6 @@ class Tuning:
     """Samples repeated by the recorder."""
 
     #: [1] difference of a repetition from the row before over a typical step, at most
-    #: convention: Chosen; effect not measured.
     small: float = 0.2
     #: [1] the same over a typical second difference
     #: convention: That is the noise where the motion is slow.
@@ -25,7 +24,6 @@ class Tuning:
     #: physics: At rest, all steps are noise.
     small_noise: float = 0.3
     #: [1] order of the prediction
-    #: convention: Chosen; effect not measured.
     order: int = 8
     #: [1] samples predicted, evenly spread
     #: statistics: They determine the noise to within 1 %.
@@ -40,19 +38,15 @@ class Tuning:
     #: statistics: One record in a thousand.
     false_alarm: float = 1e-3
     #: [1] resolution over a typical step above which samples are often equal
-    #: convention: Chosen; effect not measured.
     coarse: float = 0.01
     #: [1] resolution over a typical step below which no two samples are equal
-    #: convention: Chosen; effect not measured.
     fine: float = 1e-4
     #: [1] steps over the largest nearby below which a motion stalls
     #: statistics: White noise does so in a quarter of this share of its rows.
     stalled: float = 0.05
     #: [samples] rows on either side
-    #: convention: Chosen; effect not measured.
     nearby: int = 9
     #: [1] share of stalled rows that is no chance
-    #: convention: Chosen; effect not measured.
     stalled_share: float = 0.2
 
 

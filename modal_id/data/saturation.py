@@ -16,13 +16,10 @@ class Tuning:
     """Clipped runs."""
 
     #: [samples] shortest clipped run
-    #: convention: Chosen; effect not measured.
     min_run: int = 4
     #: [1] fewest clipped runs
-    #: convention: Chosen; effect not measured.
     min_runs: int = 2
     #: [1] length of a clipped run over that of a sine within one step of its peak
-    #: convention: Chosen; effect not measured.
     factor: float = 4.0
 
 

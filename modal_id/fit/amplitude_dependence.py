@@ -32,10 +32,8 @@ class Tuning:
     """Convergence of the fit of damping that depends on the amplitude."""
 
     #: [1] iterations of the fit
-    #: convention: Chosen; effect not measured.
     max_iterations: int = 25
     #: [1] halvings of a step before none succeeds
-    #: convention: Chosen; effect not measured.
     max_halvings: int = 8
     #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
     #: statistics: A step of a thirtieth of a standard deviation.

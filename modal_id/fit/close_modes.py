@@ -21,16 +21,12 @@ class Tuning:
     #: convention: The selection of the order covers the rest.
     reach: float = 0.04
     #: [1] iterations of the fit of a pair
-    #: convention: Chosen; effect not measured.
     iterations: int = 30
     #: [decay times] time that sets half the distance of the starting values where the record is longer
-    #: convention: Chosen; effect not measured.
     decay_times: float = 3.0
     #: [1] amplitude of a second mode over the first below which there is no pair
-    #: convention: Chosen; effect not measured.
     least_amplitude: float = 0.01
     #: [1] amplitude over that of the other mode from which both of a pair count
-    #: convention: Chosen; effect not measured.
     comparable: float = 0.25
     #: [1] score of what the amplitude-dependent mode leaves, below which no pair is needed
     #: statistics: The largest of 20 bins of noise.

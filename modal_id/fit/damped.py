@@ -48,25 +48,19 @@ class Tuning:
     #: measurement: As above.
     nearly_critical_factor: float = 5.0
     #: [1] ratio of successive decay rates of the search
-    #: convention: Chosen; effect not measured.
     rate_step: float = 1.7
     #: [half-widths] distance of successive frequencies of the search, in half-power half-widths
-    #: convention: Chosen; effect not measured.
     frequency_step: float = 0.6
     #: [decay times] length of the part that is searched for a wave
     #: physics: exp(-10) of its energy is left.
     decay_times: float = 5.0
     #: [1] largest decay rate over the Nyquist rate
-    #: convention: Chosen; effect not measured.
     max_rate_per_nyquist: float = 0.8
     #: [samples] samples per cycle to which the record is thinned
-    #: convention: Chosen; effect not measured.
     samples_per_cycle: float = 8.0
     #: [samples] fewest samples of a part that is searched
-    #: convention: Chosen; effect not measured.
     min_samples: int = 8
     #: [1] candidates that are scored by a fit
-    #: convention: Chosen; effect not measured.
     scored: int = 32
     #: [sd] power of the first samples above that of noise from which waves are looked for
     #: statistics: Six standard deviations of a chi-square: chance is negligible.

@@ -17,10 +17,8 @@ class Tuning:
     """What is slow motion and no mode."""
 
     #: [1] share of the noise level at a mode that slow motion may contribute
-    #: convention: Chosen; effect not measured.
     leak: float = 0.02
     #: [cycles] a swing on soft supports or by hand has fewer
-    #: convention: Chosen; effect not measured.
     few_cycles: float = 15.0
     #: [1] frequency of a swing over that of the lowest mode, at most
     #: physics: A beam's first mode lies at a sixth of the second.
@@ -29,7 +27,6 @@ class Tuning:
     #: convention: A beam's first mode is weakly damped.
     strongly_damped: float = 0.02
     #: [1] splines of the slow motion
-    #: convention: Chosen; effect not measured.
     max_splines: int = 300
 
 

@@ -45,22 +45,18 @@ class Tuning:
     #: convention: Samples at the limit may alternate forever.
     max_cleanings: int = 2
     #: [1] times that the band of slow motion is widened
-    #: convention: Chosen; effect not measured.
     most_widenings: int = 12
     #: [1] probability that noise alone gives a further mode
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
     #: [1] share of its frequency by which another mode may move when one is added
-    #: convention: Chosen; effect not measured.
     most_moved: float = 0.02
     #: [1] least damping ratio of a strongly damped mode beside others
-    #: convention: Chosen; effect not measured.
     damped_zeta: float = 0.02
     #: [1] its least amplitude over the largest
     #: convention: What a release and errors of the other modes leave at the beginning is weaker.
     least_damped: float = 0.05
     #: [1] strongly damped modes tried beside others
-    #: convention: Chosen; effect not measured.
     damped_trials: int = 3
 
 

@@ -42,7 +42,6 @@ class Tuning:
     """Lines whose frequency is given."""
 
     #: [1] share of a frequency within which it is named
-    #: convention: Chosen; effect not measured.
     named: float = 0.01
     #: [bins] the same in bins of 1 / span
     #: physics: The resolution of the record.

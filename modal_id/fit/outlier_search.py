@@ -26,16 +26,12 @@ class Tuning:
     """Lines removed before outliers are looked for."""
 
     #: [1] lines that are removed
-    #: convention: Chosen; effect not measured.
     most_lines: int = 4
     #: [1] half-width of the band about a removed line, over its frequency, in which no other is looked for
-    #: convention: Chosen; effect not measured.
     half_width: float = 0.01
     #: [1] reach of the fit of a line, over its frequency
-    #: convention: Chosen; effect not measured.
     reach: float = 0.05
     #: [1] largest damping ratio of such a line
-    #: convention: Chosen; effect not measured.
     max_damping: float = 0.5
 
 

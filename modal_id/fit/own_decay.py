@@ -15,7 +15,6 @@ class Tuning:
     """The fit of one mode's own decay."""
 
     #: [1] averages a cycle over those of `thinning`
-    #: convention: Chosen; effect not measured.
     finer: float = 4.0 / 3.0
     #: [1] logarithm of the ratio of frequencies within which another mode is fitted beside it
     #: convention: The motion of the others is subtracted.

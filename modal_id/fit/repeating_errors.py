@@ -21,16 +21,13 @@ class Tuning:
     """Errors of positions that repeat with the motion."""
 
     #: [sd] amplitude below which the shrinkage by a codec hardly changes
-    #: convention: Chosen; effect not measured.
     small: float = 5.0
     #: [1] correlation length of the shrinkage in asinh(amplitude)
-    #: convention: Chosen; effect not measured.
     correlation: float = 0.6
     #: [1] spacing of its knots
     #: convention: Below the correlation length.
     spacing: float = 0.5
     #: [1] groups that alone may show the variance of a repeating error
-    #: convention: Chosen; effect not measured.
     few: int = 4
     #: [1] multiple of the variance of noise that so few groups must show
     #: statistics: Two markers exceed it by chance in 5 % of records.

@@ -19,16 +19,12 @@ class Tuning:
     """Levels of the noise."""
 
     #: [steps] largest distance of an even sample from its place
-    #: convention: Chosen; effect not measured.
     even: float = 1e-3
     #: [bins] wide window of the level
-    #: convention: Chosen; effect not measured.
     wide_bins: int = 61
     #: [bins] narrow window of the level
-    #: convention: Chosen; effect not measured.
     narrow_bins: int = 15
     #: [half-widths] outer edge of the bins outside a band
-    #: convention: Chosen; effect not measured.
     outside: float = 4.0
 
 

@@ -19,7 +19,6 @@ class Tuning:
     """Stable poles of the subspace method."""
 
     #: [samples] samples per cycle of the highest frequency to which the record is thinned
-    #: convention: Chosen; effect not measured.
     samples_per_cycle: float = 5.0
     #: [1] rows of the block Hankel matrix
     #: convention: For time.
@@ -34,19 +33,14 @@ class Tuning:
     #: convention: They suffice for it.
     choosing_samples: int = 4096
     #: [1] largest order of the state
-    #: convention: Chosen; effect not measured.
     max_order: int = 40
     #: [1] largest damping ratio of a pole
-    #: convention: Chosen; effect not measured.
     max_damping: float = 0.9
     #: [1] relative distance of frequencies of successive orders within which a pole is stable
-    #: convention: Chosen; effect not measured.
     near: float = 0.01
     #: [1] successive orders, two states apart, in which a stable pole must occur
-    #: convention: Chosen; effect not measured.
     least_run: int = 5
     #: [1] relative difference of the damping ratios of a stable pole in successive orders, at most
-    #: convention: Chosen; effect not measured.
     steady: float = 0.2
     #: [1] the same, absolute
     #: convention: For poles of little damping.

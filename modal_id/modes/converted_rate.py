@@ -40,7 +40,6 @@ class Tuning:
     #: physics: The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the frames.
     phases: int = 8
     #: [sd] robust deviation of rows that are left out of the noise of blended frames
-    #: convention: Chosen; effect not measured.
     outlier_sd: float = 5.0
     #: [1] share of independent samples below which blended frames are not judged
     #: convention: What a fit leaves of the motion has a periodic power, too.
@@ -52,7 +51,6 @@ class Tuning:
     #: measurement: With one for all, 10 of 36 unconverted films in H.264 were taken for blended ones.
     variances: int = 8
     #: [1] lags over which the correlation of the noise is counted
-    #: convention: Chosen; effect not measured.
     lags: int = 30
     #: [1] share of rows without a sample from which these are tried as inserted frames
     #: convention: The tracker notes as many repeated ones.

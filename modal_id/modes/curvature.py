@@ -17,22 +17,17 @@ class Tuning:
     """Shapes between the stations."""
 
     #: [1] modes beyond the dominant one that are free
-    #: convention: Chosen; effect not measured.
     free_beyond: int = 3
     #: [1] modes beyond those, which the evidence restrains
-    #: convention: Chosen; effect not measured.
     restrained: int = 20
     #: [1] power of the wave number with which their amplitudes fall
     #: physics: That of a smooth shape less the deflection by a force at the end.
     fall: float = 8.0
     #: [1] stations beyond the free modes, at least
-    #: convention: Chosen; effect not measured.
     more_stations: int = 6
     #: [1] distance of the outer stations from the ends, in mean distances, at most
-    #: convention: Chosen; effect not measured.
     largest_gap: float = 2.0
     #: [1] passes
-    #: convention: Chosen; effect not measured.
     passes: int = 3
     #: [1] sd of the position of either end, in mean distances of stations
     #: physics: A px where a station has five.

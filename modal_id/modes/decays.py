@@ -23,7 +23,6 @@ class Tuning:
     """The decay that gives a mode."""
 
     #: [1] relative distance of frequencies of two decays within which modes are the same
-    #: convention: Chosen; effect not measured.
     same: float = 0.02
     #: [sd] rate over zero below which a decay is chosen only where there is no other
     #: statistics: 2.3 % of driven motions exceed it.
@@ -32,7 +31,6 @@ class Tuning:
     #: convention: Any large number.
     last_choice: float = 1e6
     #: [1] energy over the record's largest below which a decay is a click or a transient
-    #: convention: Chosen; effect not measured.
     faint: float = 1e-3
 
 

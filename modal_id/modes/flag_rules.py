@@ -25,19 +25,15 @@ class Tuning:
     """Flags of a mode."""
 
     #: [1] residual power of the amplitude curve over the noise below which no pair of modes is needed
-    #: convention: Chosen; effect not measured.
     explained: float = 1.5
     #: [1] the same over what constant values leave
-    #: convention: Chosen; effect not measured.
     mostly_explained: float = 0.01
     #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
     #: convention: A tenth.
     decade: float = 0.1
     #: [1] half-width of the band in which the residual is misfit of a mode, over its frequency
-    #: convention: Chosen; effect not measured.
     own_share: float = 0.05
     #: [bins] the same in bins of 1 / span
-    #: convention: Chosen; effect not measured.
     own_bins: float = 3.0
 
 

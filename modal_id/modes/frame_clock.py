@@ -41,19 +41,15 @@ class Tuning:
     #: measurement: With one, 4 of 200 random records with outliers and clicks were taken for converted ones.
     stretches: int = 8
     #: [samples] rows for each column below which nothing is compared
-    #: convention: Chosen; effect not measured.
     rows_per_column: int = 4
     #: [bins] distance of side bands of double images from the mode
     #: measurement: Nearer ones were fitted to a frequency that changes and to the errors of a codec.
     separate_bins: float = 8.0
     #: [1] order up to which side bands are no modes
-    #: convention: Chosen; effect not measured.
     highest_order: int = 8
     #: [bins] distance of a side band from its place, at most
-    #: convention: Chosen; effect not measured.
     near_bins: float = 3.0
     #: [1] MAC with the strongest mode of a side band, at least
-    #: convention: Chosen; effect not measured.
     same_shape: float = 0.8
     #: [sd] difference of its decay rate, at most
     #: statistics: Noise exceeds it in 6e-5 of the lines.

@@ -19,7 +19,6 @@ class Tuning:
     """Lines that are no modes."""
 
     #: [1] factor by which distortion is weaker than the motions that cause it
-    #: convention: Chosen; effect not measured.
     weaker: float = 3.0
     #: [sd] difference of frequency and decay rate within which a combination agrees
     #: statistics: 0.3 % of combinations exceed it.
@@ -28,16 +27,13 @@ class Tuning:
     #: statistics: One line in twenty.
     chance: float = 0.05
     #: [1] highest order of a harmonic
-    #: convention: Chosen; effect not measured.
     highest_order: int = 40
     #: [1] highest order of one above half the sampling rate
     #: convention: Higher ones are too weak to show.
     highest_aliased: int = 5
     #: [sd] line below this may be an error that repeats with a motion
-    #: convention: Chosen; effect not measured.
     error_sd: float = 2.0
     #: [1] amplitude of that motion over the line's
-    #: convention: Chosen; effect not measured.
     cause: float = 10.0
     #: [1] share of the sd of what predicted frames omit that may look like another line
     #: convention: It follows the amplitude slowly.

@@ -16,10 +16,8 @@ class Tuning:
     """Nodes of a shape."""
 
     #: [1] half the window of the fit about a crossing, over the span of the stations
-    #: convention: Chosen; effect not measured.
     half_window: float = 0.08
     #: [1] fewest stations in it
-    #: convention: Chosen; effect not measured.
     least_stations: int = 6
     #: [sd] both sides of a crossing differ from zero by this somewhere in the window
     #: statistics: Noise does so in 6e-5 of the stations.

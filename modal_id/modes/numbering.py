@@ -26,16 +26,13 @@ class Tuning:
     """Numbers of the modes."""
 
     #: [1] weight of the MAC against the frequency
-    #: convention: Chosen; effect not measured.
     mac_weight: float = 0.25
     #: [1] relative sd of the frequencies of theory
-    #: convention: Chosen; effect not measured.
     theory_error: float = 0.06
     #: [1] share of the noise in the MAC that is allowed
     #: statistics: A chi-square of two or more degrees of freedom exceeds seven times its mean once in 1000.
     most_noise: float = 7.0
     #: [1] log ratio of frequencies within which a mode is one that the user rejects
-    #: convention: Chosen; effect not measured.
     rejected_log_ratio: float = 0.01
 
 

@@ -33,7 +33,6 @@ class Tuning:
     #: convention: For memory.
     max_values: int = 6_000_000
     #: [samples] fewest samples
-    #: convention: Chosen; effect not measured.
     min_samples: int = 64
     #: [1] upper end of the band in which drift is looked for, over that of the baseline
     #: convention: Drift is visible just above.

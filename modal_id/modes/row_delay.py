@@ -17,16 +17,13 @@ class Tuning:
     """The delay of rows."""
 
     #: [1] signal over noise of modes and channels that are used
-    #: convention: Chosen; effect not measured.
     least_snr: float = 20.0
     #: [1] fewest such channels
-    #: convention: Chosen; effect not measured.
     least_channels: int = 5
     #: [sd] delay that is reported
     #: statistics: Noise exceeds it once in 5e8.
     clear_sd: float = 6.0
     #: [rad] change of phase from the first to the last channel, at least
-    #: convention: Chosen; effect not measured.
     least_phase: float = 0.01
     #: [1] the same in damping ratios
     #: physics: Shapes with unevenly distributed damping are complex by about the damping ratio.
@@ -38,7 +35,6 @@ class Tuning:
     #: convention: Eight groups know an sd to a quarter.
     agree_sd: float = 6.0
     #: [1] passes
-    #: convention: Chosen; effect not measured.
     passes: int = 4
     #: [1] readout over the time between frames, at most
     #: physics: 1, but for the error of the delay.

@@ -19,13 +19,10 @@ class Tuning:
     """What affects an interval."""
 
     #: [1] part of the standard deviation over it that affects the interval
-    #: convention: Chosen; effect not measured.
     share: float = 0.5
     #: [1] relative increase of the standard deviation that affects the interval
-    #: convention: Chosen; effect not measured.
     noticeable: float = 0.1
     #: [1] residual power over the noise from which the values may be wrong
-    #: convention: Chosen; effect not measured.
     far_too_much_left: float = 10.0
 
 

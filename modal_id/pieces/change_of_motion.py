@@ -18,7 +18,6 @@ class Tuning:
     """Changes of the motion within a decay."""
 
     #: [samples] samples per cycle of the search
-    #: convention: Chosen; effect not measured.
     samples_per_cycle: float = 8.0
     #: [samples] samples of the search
     #: convention: For time.
@@ -33,7 +32,6 @@ class Tuning:
     #: convention: They may decay otherwise than the fit says.
     loose: int = 2
     #: [1] largest exponent of the growth of a wave from the middle of the record
-    #: convention: Chosen; effect not measured.
     growth: float = 8.0
 
 

@@ -18,7 +18,6 @@ class Tuning:
     """Division into pieces."""
 
     #: [1] divisions of a record
-    #: convention: Chosen; effect not measured.
     most_splits: int = 6
     #: [1] share of the motion's power that a fit may leave where no piece is explained
     #: convention: It stands with wide intervals.

@@ -44,19 +44,14 @@ class Tuning:
     #: measurement: A few parts in ten thousand with a camera's errors, per cent with a hand, a pluck or driving.
     most_left: float = 0.003
     #: [1] residual power of an amplitude curve over the noise up to which it explains that
-    #: convention: Chosen; effect not measured.
     explained: float = 3.0
     #: [1] the same over what constant poles leave
-    #: convention: Chosen; effect not measured.
     mostly_explained: float = 0.01
     #: [cycles] shortest piece of a divided decay
-    #: convention: Chosen; effect not measured.
     least_cycles: float = 6.0
     #: [cycles] the same where both parts have been fitted
-    #: convention: Chosen; effect not measured.
     fewest_cycles: float = 2.5
     #: [cycles] length from which a piece is long
-    #: convention: Chosen; effect not measured.
     many_cycles: float = 12.0
 
 

@@ -22,10 +22,8 @@ class Tuning:
     #: convention: A step or a stop.
     transient_modes: int = 3
     #: [cycles] cycles that each of them has, at most
-    #: convention: Chosen; effect not measured.
     few_cycles: float = 12.0
     #: [1] rms of a channel at rest over that of the motion that follows
-    #: convention: Chosen; effect not measured.
     rest_share: float = 0.2
 
 

@@ -16,19 +16,15 @@ class Tuning:
     """Misfit of a decay."""
 
     #: [cycles] length of a window
-    #: convention: Chosen; effect not measured.
     cycles: float = 2.0
     #: [samples] the same, at least
-    #: convention: Chosen; effect not measured.
     least_rows: int = 16
     #: [1] strongest modes on whose waves the residual is projected
-    #: convention: Chosen; effect not measured.
     modes: int = 2
     #: [sd] errors of a codec that are no change of the motion
     #: convention: What it leaves out of small motions.
     omitted_sd: float = 2.0
     #: [1] power of the projection over that of the rest, for each degree of freedom, that noise may reach
-    #: convention: Chosen; effect not measured.
     noise: float = 6.0
 
 

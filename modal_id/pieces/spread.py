@@ -17,13 +17,10 @@ class Tuning:
     """Spread over parts of a decay."""
 
     #: [1] parts
-    #: convention: Chosen; effect not measured.
     parts: int = 3
     #: [cycles] shortest part
-    #: convention: Chosen; effect not measured.
     least_cycles: float = 2.0
     #: [samples] the same
-    #: convention: Chosen; effect not measured.
     least_rows: int = 12
 
 

@@ -21,7 +21,6 @@ class Tuning:
     #: physics: Far below a change of the log likelihood that matters.
     remainder: float = 1e-9
     #: [1] terms of the series
-    #: convention: Chosen; effect not measured.
     max_terms: int = 60
     #: [1] logarithm of the energy of a wave over what is left when it is negligible
     #: physics: exp(-13.8) = 1e-6.

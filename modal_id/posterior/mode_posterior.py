@@ -25,13 +25,11 @@ class Tuning:
     """What the posterior includes."""
 
     #: [1] correlation between poles of two modes above which the uncertainty of one is included in that of the other
-    #: convention: Chosen; effect not measured.
     coupled: float = 0.02
     #: [1] prior sd of the slope zeta1 over zeta
     #: measurement: The damping of metal cantilevers in air falls by a third while the amplitude falls to a third.
     slope_prior: float = 0.25
     #: [1] relative sd of the frequency from which a motion that need not decay is no mode
-    #: convention: Chosen; effect not measured.
     hardly_known: float = 0.02
 
 

@@ -29,22 +29,17 @@ class Tuning:
     """The level of the noise beside a mode."""
 
     #: [1] half-width of the band over the frequency
-    #: convention: Chosen; effect not measured.
     relative_half_width: float = 0.06
     #: [bins] fewest bins on either side
-    #: convention: Chosen; effect not measured.
     min_bins_aside: int = 12
     #: [half-widths] half-power half-widths of the mode left out on each side
     #: physics: The fit absorbs about one.
     half_power_widths: float = 2.5
     #: [bins] the same in bins
-    #: convention: Chosen; effect not measured.
     own_bins: float = 1.25
     #: [bins] bins of the band
-    #: convention: Chosen; effect not measured.
     max_bins: int = 150
     #: [1] share of white noise that the fit leaves in a bin, below which it is not used
-    #: convention: Chosen; effect not measured.
     least_left: float = 0.5
     #: [1] channels whose levels are averaged
     #: statistics: Their standard deviation is then a few per cent.

@@ -18,19 +18,14 @@ class Tuning:
     """Cells of the proposal density."""
 
     #: [sd] width of a cell near the mode
-    #: convention: Chosen; effect not measured.
     width: float = 0.1
     #: [sd] distance up to which cells have that width
-    #: convention: Chosen; effect not measured.
     fine: float = 4.0
     #: [1] growth of the width further out
-    #: convention: Chosen; effect not measured.
     growth: float = 1.1
     #: [1] sectors of a ring
-    #: convention: Chosen; effect not measured.
     sectors: int = 32
     #: [1] rings added at a time
-    #: convention: Chosen; effect not measured.
     rings: int = 8
     #: [1] log density below the largest at which no ring is added
     #: physics: exp(-16) = 1e-7.

@@ -36,16 +36,13 @@ class Tuning:
     #: convention: The search needs few.
     samples_per_cycle: float = 12.0
     #: [1] amplitude over the record's largest below which it is at rest
-    #: convention: Chosen; effect not measured.
     rest_share: float = 0.03
     #: [sd] amplitude below which it is at rest
     #: statistics: The envelope of noise exceeds it in one window in 3e5.
     rest_sd: float = 5.0
     #: [cycles] shortest segment
-    #: convention: Chosen; effect not measured.
     least_cycles: float = 3.0
     #: [samples] the same
-    #: convention: Chosen; effect not measured.
     least_rows: int = 12
     #: [cycles] length from which an event is no click
     #: convention: An event without duration disturbs four.
@@ -54,10 +51,8 @@ class Tuning:
     #: convention: Less is the transient of its start.
     kept: float = 0.3
     #: [1] share of the largest amplitude above which driving is looked for
-    #: convention: Chosen; effect not measured.
     loud: float = 0.1
     #: [1] share of the median rate of fall below which driving is looked for
-    #: convention: Chosen; effect not measured.
     slow_fall: float = 0.6
     #: [1] largest change of the log amplitude in the latter half of driving without a decay after it
     #: convention: A slow decay that a hand ends looks the same.

@@ -21,13 +21,10 @@ class Tuning:
     """The dominant motion."""
 
     #: [samples] shortest window
-    #: convention: Chosen; effect not measured.
     least_window: int = 32
     #: [1] logarithm of the ratio of frequencies within which windows show one line
-    #: convention: Chosen; effect not measured.
     same_line: float = 0.2
     #: [cycles] shortest window
-    #: convention: Chosen; effect not measured.
     least_window_cycles: float = 6.0
 
 

@@ -20,13 +20,10 @@ class Tuning:
     #: convention: Two separate the motion from an offset.
     cycles: float = 2.0
     #: [samples] fewest samples of a window
-    #: convention: Chosen; effect not measured.
     min_samples: int = 10
     #: [1] span over the usual one above which a window contains a gap
-    #: convention: Chosen; effect not measured.
     longest: float = 1.5
     #: [1] share of the windows of the most complete channel below which a channel is left out
-    #: convention: Chosen; effect not measured.
     complete: float = 0.5
 
 

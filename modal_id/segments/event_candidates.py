@@ -18,7 +18,6 @@ class Tuning:
     #: convention: Above noise in all windows; confirmed later.
     jump_sd: float = 8.0
     #: [1] the same over the amplitude
-    #: convention: Chosen; effect not measured.
     jump_share: float = 0.15
     #: [1] candidates that are tried
     #: convention: For time.

@@ -24,37 +24,27 @@ class Tuning:
     """Confirmation of events."""
 
     #: [cycles] length of the decays fitted on either side of a candidate
-    #: convention: Chosen; effect not measured.
     side_cycles: float = 10.0
     #: [cycles] their least length
-    #: convention: Chosen; effect not measured.
     least_cycles: float = 2.0
     #: [samples] the same
-    #: convention: Chosen; effect not measured.
     least_rows: int = 10
     #: [1] modes of these decays
-    #: convention: Chosen; effect not measured.
     modes: int = 4
     #: [1] share of the motion that free decays over the piece may leave where they explain a candidate
-    #: convention: Chosen; effect not measured.
     explained_share: float = 0.1
     #: [variances] mean square error of a prediction that noise explains
     #: statistics: Two standard deviations.
     noise_square: float = 4.0
     #: [1] bandwidth of the slow motion beside a candidate, over the dominant frequency
-    #: convention: Chosen; effect not measured.
     slow: float = 0.25
     #: [1] relative difference from the dominant line within which a fitted decay is that line
-    #: convention: Chosen; effect not measured.
     same_line: float = 0.1
     #: [1] factor by which a step of the offset exceeds the range of slow motion
-    #: convention: Chosen; effect not measured.
     wobble: float = 1.5
     #: [cycles] nearest cycles of either side between which a step is measured
-    #: convention: Chosen; effect not measured.
     near_cycles: float = 2.0
     #: [1] jump of the confirmed state over the larger amplitude
-    #: convention: Chosen; effect not measured.
     confirmed_share: float = 0.03
     #: [sd] the same
     #: statistics: Noise exceeds it in 6e-7 of the candidates.
@@ -63,10 +53,8 @@ class Tuning:
     #: measurement: A codec shifts phases by a quarter of a radian at key frames.
     interrupted_share: float = 0.4
     #: [1] ratio of amplitudes from which the amplitude rises
-    #: convention: Chosen; effect not measured.
     rise: float = 1.25
     #: [1] ratio of amplitudes below which it falls
-    #: convention: Chosen; effect not measured.
     fall: float = 0.8
 
 

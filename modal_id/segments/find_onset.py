@@ -19,16 +19,13 @@ class Tuning:
     """The begin of the fit."""
 
     #: [1] longest delay of the fit over the record
-    #: convention: Chosen; effect not measured.
     max_settle_fraction: float = 0.1
     #: [decay times] delay of the fit after a release where decay times are shorter than a cycle
-    #: convention: Chosen; effect not measured.
     settle_decay_times: float = 0.3
     #: [1] probability from which an onset counts as known
     #: statistics: 95 %.
     likely: float = 0.95
     #: [1] modes excited by a release
-    #: convention: Chosen; effect not measured.
     max_excited: int = 8
 
 

@@ -19,10 +19,8 @@ class Tuning:
     """What the notes mention."""
 
     #: [samples] shortest run of repeated samples that is a segment of its own
-    #: convention: Chosen; effect not measured.
     least_run: int = 3
     #: [1] such segments that are named
-    #: convention: Chosen; effect not measured.
     most_runs: int = 8
     #: [sd] half the range between the 1 % and 99 % quantiles from which a channel moves
     #: physics: Of white noise it is 2.3.

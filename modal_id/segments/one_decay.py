@@ -15,16 +15,12 @@ class Tuning:
     """One decay or two."""
 
     #: [1] iterations of the fit
-    #: convention: Chosen; effect not measured.
     iterations: int = 30
     #: [1] relative change at convergence
-    #: convention: Chosen; effect not measured.
     converged: float = 1e-6
     #: [windows] fewest windows on either side of a change
-    #: convention: Chosen; effect not measured.
     side: int = 3
     #: [windows] fewest windows in all
-    #: convention: Chosen; effect not measured.
     least: int = 12
     #: [1] share of the required gain from which two decays may be the better explanation
     #: convention: Windows of two cycles blur the change.

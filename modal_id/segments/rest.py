@@ -21,13 +21,11 @@ class Tuning:
     #: physics: Half a cycle of such a motion exceeds the limit of rest.
     moves: float = 15.0
     #: [samples] shortest rest
-    #: convention: Chosen; effect not measured.
     least_samples: int = 10
     #: [cycles] longest rest that is looked for
     #: physics: Longer rest shows in the envelope.
     most_cycles: float = 6.0
     #: [cycles] cycles of the motion after it
-    #: convention: Chosen; effect not measured.
     motion_cycles: float = 2.0
 
 

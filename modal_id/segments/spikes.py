@@ -22,13 +22,10 @@ class Tuning:
     #: convention: Most windows may hold a spike.
     quiet: float = 0.25
     #: [1] share of a window's samples that may be removed
-    #: convention: Chosen; effect not measured.
     most: float = 0.1
     #: [1] least degrees of freedom left
-    #: convention: Chosen; effect not measured.
     least_freedom: int = 3
     #: [1] share of the windows about a sample that its removal must explain
-    #: convention: Chosen; effect not measured.
     agreed: float = 0.75
 
 

@@ -17,22 +17,16 @@ class Tuning:
     """Steady motion."""
 
     #: [1] modes of the fit
-    #: convention: Chosen; effect not measured.
     modes: int = 4
     #: [1] relative distance from the frequency looked for within which a line is the dominant one
-    #: convention: Chosen; effect not measured.
     same_line: float = 0.05
     #: [1] sd of the change of the log amplitude above which nothing is known
-    #: convention: Chosen; effect not measured.
     steady_known: float = 0.1
     #: [1] change of the log amplitude that is steady whatever its sd
-    #: convention: Chosen; effect not measured.
     steady_change: float = 0.02
     #: [1] amplitude over the strongest from which a line must be steady
-    #: convention: Chosen; effect not measured.
     strong: float = 0.2
     #: [1] fall of the log amplitude from which it decays
-    #: convention: Chosen; effect not measured.
     decayed: float = 0.5
     #: [1] factor by which a decay that starts at an event is faster than the motion before
     #: convention: A drive keeps that up.
@@ -41,7 +35,6 @@ class Tuning:
     #: physics: One mode whose amplitude changes may imitate them.
     close_beats: float = 4.0
     #: [1] share of the power that the fit of a free decay may leave
-    #: convention: Chosen; effect not measured.
     most_left: float = 0.05
 
 

@@ -24,19 +24,15 @@ class Tuning:
     """Convergence of the poles."""
 
     #: [1] iterations of a result
-    #: convention: Chosen; effect not measured.
     max_iterations: int = 40
     #: [1] iterations of a search
-    #: convention: Chosen; effect not measured.
     search_iterations: int = 15
     #: [1] halvings of a step
-    #: convention: Chosen; effect not measured.
     max_halvings: int = 10
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.
     step_tolerance: float = 2e-3
     #: [sd] step that is negligible where a fit is refined later
-    #: convention: Chosen; effect not measured.
     rough_tolerance: float = 0.05
     #: [1] largest logarithm of the growth over the record
     #: physics: More than exp(300) would overflow.

@@ -36,7 +36,7 @@ class Tuning:
     #: convention: Three digits of an amplitude are unchanged.
     worth_a_note: float = 1e-3
     #: [1] a mode that a recording was not made for counts from this MAC with the theory on
-    #: convention: 0.9 is usual for the same shape; here the number shall be beyond doubt.
+    #: convention: 0.9 is usual for the same shape; a wrong mode number would corrupt the combined modes.
     least_mac: float = 0.95
     #: [markers] fewer give no shape
     #: physics: With fewer a shape holds no information beyond its scale.

@@ -123,6 +123,7 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
 
 
 def test_output_files_have_the_specified_columns(out):
+    # Written out: the declarations of the columns would be compared with themselves.
     assert (out / "modes.csv").read_text().splitlines()[0] == (
         "recording,mode,target,frequency_hz,frequency_sd_hz,frequency_q05_hz,frequency_q95_hz,damping_ratio,"
         "damping_ratio_sd,damping_ratio_q05,damping_ratio_q95,frequency_small_amplitude_hz,"

@@ -37,7 +37,7 @@ class Tuning:
     #: [frames] without which nothing is said of a station
     #: convention: as few as an identification needs (`tracker.track`)
     least_frames: int = 12
-    #: [stations] one of so many is used for the correlation of residuals
+    #: [stations] spacing of the stations whose residuals give the correlation
     #: convention: limits time
     every_station: int = 3
 

@@ -20,7 +20,6 @@ class Tuning:
     #: convention: Its result is refined on all.
     search_samples: int = 3000
     #: [cycles] least driving before a change
-    #: convention: Chosen; effect not measured.
     min_cycles: float = 1.0
     #: [cycles] least decay after it
     #: physics: A change in the last few cycles is a jolt or a frozen frame.
@@ -29,7 +28,6 @@ class Tuning:
     #: convention: For time.
     max_channels: int = 4
     #: [samples] fewest samples of a side
-    #: convention: Chosen; effect not measured.
     least_samples: int = 8
     #: [1] rate of the driven amplitude's fall, over that of the free decay, at most
     #: convention: Free motion whose damping depends on the amplitude decays faster.
@@ -38,13 +36,10 @@ class Tuning:
     #: statistics: 0.3 % of steady drives exceed it.
     rate_sd: float = 3.0
     #: [cycles] least driven motion
-    #: convention: Chosen; effect not measured.
     least_driven_cycles: float = 2.0
     #: [cycles] driven cycles below which their rate must be known well
-    #: convention: Chosen; effect not measured.
     few_driven_cycles: float = 3.0
     #: [1] sd of that rate over the rate of the free decay, at most
-    #: convention: Chosen; effect not measured.
     few_driven_sd: float = 0.5
     #: [1] logarithm of the drive's frequency over the dominant one, at most
     #: convention: A factor of 1.5.

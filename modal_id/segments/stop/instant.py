@@ -31,13 +31,11 @@ class Tuning:
     #: convention: The shaking is not steady, or the decay not free, throughout.
     misfit: float = 1.2
     #: [cycles] least length of a side
-    #: convention: Chosen; effect not measured.
     min_cycles: float = 3.0
     #: [samples] rows on either side
     #: convention: More add little and cost much.
     max_rows: int = 5000
     #: [1] times that a side is shortened
-    #: convention: Chosen; effect not measured.
     max_shortenings: int = 5
     #: [cycles] sd of the middle of a real stop
     #: physics: A stop that takes a tenth of a cycle is uncertain by a tenth of that.

@@ -22,28 +22,21 @@ class Tuning:
     """Convergence of the fit on both sides of a stop."""
 
     #: [1] minima that are refined
-    #: convention: Chosen; effect not measured.
     minima: int = 3
     #: [1] relative ridge of the normal equations
     #: physics: Above rounding.
     ridge: float = 1e-12
     #: [1] steps of the fit
-    #: convention: Chosen; effect not measured.
     max_steps: int = 40
     #: [1] halvings of a step
-    #: convention: Chosen; effect not measured.
     halvings: int = 8
     #: [1] relative step of the numerical derivatives
-    #: convention: Chosen; effect not measured.
     difference: float = 1e-4
     #: [samples] samples required on each side of the instant
-    #: convention: Chosen; effect not measured.
     margin: int = 12
     #: [1] instants of the coarse search
-    #: convention: Chosen; effect not measured.
     coarse_points: int = 300
     #: [1] instants per cycle
-    #: convention: Chosen; effect not measured.
     points_per_cycle: float = 24.0
 
 

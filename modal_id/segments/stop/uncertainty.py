@@ -26,7 +26,6 @@ class Tuning:
     #: statistics: A probability of 5e-4 for one instant.
     competing: float = 12.0
     #: [1] the same before its descent
-    #: convention: Chosen; effect not measured.
     competing_before_descent: float = 300.0
     #: [1] instants that are followed
     #: convention: For time.

@@ -29,7 +29,6 @@ class Tuning:
     #: convention: Chosen; mode 5 of a cantilever has 1.65 times the frequency of mode 4, its nearest.
     same_frequency: float = 0.05
     #: [1] largest over smallest amplitude of runs above which a mode that depends on it gets a note
-    #: convention: Chosen.
     similar: float = 1.2
 
 

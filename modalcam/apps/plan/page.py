@@ -28,7 +28,6 @@ class Tuning:
     #: convention: Chosen: what an ordinary recording separates from them.
     least_motion: float = 0.05
     #: [cycles] fewer are too few to find the onset of the decay
-    #: convention: Chosen.
     cycles: int = 5
     #: [cycles] distance of the apparent frequency from 0 and half the rate, over the record
     #: convention: Ten lines of the spectrum of the record.

@@ -252,7 +252,6 @@ class Tuning:
     """What a test track must show for a prediction."""
 
     #: [cycles] motion of a shorter track is not told from drift
-    #: convention: Chosen.
     cycles: float = 3.0
     #: [sd] a smaller amplitude is noise
     #: statistics: A normal error exceeds it in 6e-7 of cases.

@@ -310,22 +310,17 @@ class Tuning:
     """Beyond these a marker of a test track gets advice."""
 
     #: [px] sd of a position that is worth another choice of the point
-    #: convention: Chosen.
     coarse: float = 0.05
     #: [px] motion between frames beyond which a short exposure matters
-    #: convention: Chosen.
     fast: float = 3.0
     #: [px] motion during the exposure
-    #: convention: Chosen.
     blurred: float = 5.0
     #: [1] share of frames without a position
-    #: convention: Chosen.
     lost: float = 0.02
     #: [sd] a smaller motion is none
     #: statistics: A normal error exceeds it in 6e-7 of cases.
     least_motion: float = 5.0
     #: [1] share of a window's contrast that one picture that moves does not explain
-    #: convention: Chosen.
     unexplained: float = 0.3
 
 

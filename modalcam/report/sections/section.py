@@ -23,7 +23,7 @@ class Section:
         anchor, `r`, all variables of the recording, and the macros `part` and `say` of the report.
     variables : callable
         From a recording and the cache of the report, or None, to the variables; None where nothing is to be shown. Not
-        called in a report of so many recordings that it has no diagnostic figures.
+        called in a report of more than 12 recordings, which has no diagnostic figures.
     notes : callable or None
         From a recording to sentences for its list of notes.
     reading : tuple of (str, str)
