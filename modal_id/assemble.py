@@ -42,9 +42,9 @@ from tracker import BoolArray, DisplacementSeries, FloatArray
 class Tuning:
     """Bands of a driven line."""
 
-    #: [bins] half-width of the band of a driven line in bins of 1 / span
+    #: [bins] half-width of the band of a driven line, where a bin is 1 / span of the record
     own_bins: float = 3.0
-    #: [half-widths] outer edge of the band of the noise beside it
+    #: [half-widths] outer edge of the band beside a driven line, in which the noise is measured
     beside: float = 6.0
 
 

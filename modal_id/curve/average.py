@@ -22,14 +22,14 @@ class Tuning:
     law_decay_change: float = 2.0
     #: [1] prior sd of the change of the frequency over all amplitudes, over the frequency
     law_angular_change: float = 0.02
-    #: [1] log odds against a law that is left out of the average
+    #: [1] log odds against a law from which it is left out of the average
     #: physics: exp(-40) of the weight.
     negligible: float = 40.0
-    #: [1] points of the curve
+    #: [1] number of points of the amplitude curve
     points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
     adequate: float = 1.5
-    #: [1] the same from which it is not
+    #: [1] residual power over the noise from which a law is inadequate
     inadequate: float = 2.5
 
 

@@ -18,11 +18,11 @@ class Tuning:
 
     #: [cycles] shortest block
     cycles: float = 2.0
-    #: [1] blocks at most
+    #: [1] largest number of blocks
     max_blocks: int = 300
     #: [samples] fewest samples of a block
     least_samples: int = 8
-    #: [1] condition above which a block is left out
+    #: [1] condition number above which a block is left out
     #: physics: Rounding of 1e-16 leaves eight digits.
     max_condition: float = 1e8
     #: [1] reference over its largest value below which a block contains nothing of the mode

@@ -15,17 +15,17 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Convergence of a law."""
 
-    #: [1] iterations
+    #: [1] largest number of iterations
     max_iterations: int = 40
-    #: [1] halvings of a step
+    #: [1] largest number of halvings of a step
     max_halvings: int = 10
-    #: [1] twice the gain in log posterior density of a further step at convergence
+    #: [1] twice the gain in log posterior density of a further step below which the fit has converged
     #: statistics: A step of a thirtieth of a standard deviation.
     converged: float = 1e-3
     #: [1] the same where no step succeeds because of rounding or the quadrature
     #: statistics: A step of a fifth of a standard deviation.
     converged_to_rounding: float = 0.05
-    #: [1] condition above which the fit has failed
+    #: [1] condition number above which the fit has failed
     #: physics: Rounding of 1e-16 leaves two digits.
     max_condition: float = 1e14
 

@@ -19,14 +19,14 @@ _POINTS = 800
 class Tuning:
     """Integration of the amplitude."""
 
-    #: [1] logarithm of the amplitude below which rates are those at zero
+    #: [1] depth, in log amplitude below the largest, beyond which rates are those at zero amplitude
     #: physics: exp(-14) = 8e-7 of the largest.
     deepest: float = 14.0
     #: [1] log amplitude below the largest that stands for zero amplitude
     far: float = 1e4
     #: [1] factor on the depth where it does not suffice
     deeper: float = 1.5
-    #: [1] times that it is deepened
+    #: [1] largest number of times that the depth is increased
     attempts: int = 8
 
 

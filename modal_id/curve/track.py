@@ -21,20 +21,20 @@ class Tuning:
 
     #: [blocks] fewest blocks
     least_blocks: int = 12
-    #: [sd] amplitude of the first block that is no longer used
+    #: [sd] amplitude below which the blocks that follow are no longer used
     least_snr: float = 4.0
     #: [1] sum of squared amplitudes over noise variance, to the end, that determines the rates
     #: statistics: Ten standard deviations.
     least_energy: float = 100.0
-    #: [blocks] half the window over which the noise is averaged
+    #: [blocks] half-width of the window over which the noise is averaged
     window: int = 7
-    #: [1] passes of noise and fit
+    #: [1] number of passes, each of which estimates the noise and repeats the fit
     passes: int = 3
     #: [1] knots per unit of the log amplitude
     knots_per_unit: float = 3.0
-    #: [1] knots at most
+    #: [1] largest number of knots
     most_knots: int = 16
-    #: [blocks] blocks to a knot, at least
+    #: [blocks] fewest blocks per knot
     blocks_per_knot: int = 4
 
 

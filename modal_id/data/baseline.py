@@ -24,8 +24,8 @@ class Tuning:
     #: [Hz] largest frequency of the baseline at first
     #: convention: `modal_id.fit.drift` may raise it.
     ceiling_hz: float = 1.0
-    #: [samples] rows up to which all are held in memory
-    #: convention: For memory.
+    #: [samples] number of rows up to which the baseline is held in memory for all of them
+    #: convention: Limits the memory.
     few_rows: int = 200_000
 
 

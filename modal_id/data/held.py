@@ -21,7 +21,7 @@ from tracker import DisplacementSeries, Failure
 class Tuning:
     """Samples held by a slower clock."""
 
-    #: [1] share of the distances that are a multiple of the usual one
+    #: [1] share of the distances between changes that must be a multiple of the usual distance
     #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
     even: float = 0.9
     #: [samples] fewest samples that show it

@@ -15,18 +15,18 @@ from tracker import FloatArray
 class Tuning:
     """One sampling rate."""
 
-    #: [1] means of which the rate at a sample is the median
+    #: [1] number of mean steps whose median gives the sampling rate at a sample
     #: convention: Gaps do not count in the median.
     steps: int = 33
-    #: [steps] steps of each mean
+    #: [steps] number of steps in each mean
     #: convention: They even out rounded time stamps.
     averaged: int = 4
-    #: [1] factor below which rates are one rate with jitter or samples missing
+    #: [1] ratio of two rates below which they count as one rate with jitter or missing samples
     #: physics: A missing sample doubles a step.
     same_rate: float = 1.9
-    #: [1] share of samples and duration below which a stretch is no other rate
+    #: [1] share of steps or duration, the larger of both, below which a stretch does not count as another rate
     least_share: float = 0.05
-    #: [1] rates that a message lists
+    #: [1] largest number of rates listed in a message
     listed: int = 4
 
 

@@ -17,16 +17,16 @@ class Tuning:
     #: [sd] deviation from which a sample is rejected
     #: statistics: One good sample in two million.
     limit: float = 5.0
-    #: [1] share of a channel that is rejected wherever it lies
+    #: [1] share of a channel's samples that may be rejected wherever they lie
     few: float = 0.03
-    #: [1] share that is rejected where the samples are spread at random
+    #: [1] share that may be rejected where the samples are spread at random
     #: physics: The median absolute deviation itself is then a third too large.
     most: float = 0.25
     #: [samples] marked samples at the beginning from which they are misfit of the model
     least_misfit: int = 12
     #: [1] share of the marked samples that lie there
     mostly: float = 0.8
-    #: [1] that part of the record
+    #: [1] share of the record that counts as its beginning
     beginning: float = 0.1
     #: [sd] excess of marked samples there over chance
     #: statistics: Chance exceeds it in 3e-7 of records.

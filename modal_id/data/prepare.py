@@ -26,7 +26,7 @@ class Tuning:
     #: [1] range of a channel over the stated sd below which it is rounding
     #: physics: The range of noise with this sd is above three times the sd.
     rounding: float = 0.01
-    #: [1] channels that a note names
+    #: [1] largest number of channels named in a note
     most_names: int = 8
 
 

@@ -20,15 +20,15 @@ MOST_DIRECT = 16
 class Tuning:
     """Many channels projected on few components."""
 
-    #: [bins] bins of the spectrum in a band
+    #: [bins] number of spectral bins in a band
     #: convention: In its band a mode stands out that is below the noise of the whole spectrum.
     band_bins: int = 16
     #: [1] value of the Tracy-Widom law of order 1 above which a component is signal
     #: statistics: Noise exceeds it with 1e-4, by simulation 2 to 4 with 1e-2 to 1e-3.
     tracy_widom: float = 5.0
-    #: [1] components
+    #: [1] largest number of components
     most_components: int = 40
-    #: [1] passes with all directions
+    #: [1] largest number of passes with all directions
     most_passes: int = 12
     #: [sd] largest change of a value filled in at the end of the passes
     settled: float = 0.1

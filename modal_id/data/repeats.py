@@ -15,17 +15,17 @@ from tracker import BoolArray, FloatArray
 class Tuning:
     """Samples repeated by the recorder."""
 
-    #: [1] difference of a repetition from the row before over a typical step, at most
+    #: [1] largest difference of a repetition from the row before, over a typical step
     small: float = 0.2
-    #: [1] the same over a typical second difference
+    #: [1] the same, over a typical second difference
     #: convention: That is the noise where the motion is slow.
     small_bend: float = 0.15
     #: [1] step over the noise of a sample above which there is no repetition
     #: physics: At rest, all steps are noise.
     small_noise: float = 0.3
-    #: [1] order of the prediction
+    #: [1] order of the linear prediction
     order: int = 8
-    #: [1] samples predicted, evenly spread
+    #: [1] largest number of samples predicted, evenly spread
     #: statistics: They determine the noise to within 1 %.
     most_windows: int = 50_000
     #: [samples] rows on either side with which a repetition is compared
@@ -44,9 +44,9 @@ class Tuning:
     #: [1] steps over the largest nearby below which a motion stalls
     #: statistics: White noise does so in a quarter of this share of its rows.
     stalled: float = 0.05
-    #: [samples] rows on either side
+    #: [samples] rows on either side among which the largest step is taken
     nearby: int = 9
-    #: [1] share of stalled rows that is no chance
+    #: [1] share of stalled rows above which they are not due to chance
     stalled_share: float = 0.2
 
 

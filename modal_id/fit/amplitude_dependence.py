@@ -31,9 +31,9 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Convergence of the fit of damping that depends on the amplitude."""
 
-    #: [1] iterations of the fit
+    #: [1] largest number of iterations of the fit
     max_iterations: int = 25
-    #: [1] halvings of a step before none succeeds
+    #: [1] largest number of halvings of a step
     max_halvings: int = 8
     #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
     #: statistics: A step of a thirtieth of a standard deviation.

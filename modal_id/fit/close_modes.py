@@ -20,7 +20,7 @@ class Tuning:
     #: [1] distance from the fitted mode, over its frequency, within which a pair is tried
     #: convention: The selection of the order covers the rest.
     reach: float = 0.04
-    #: [1] iterations of the fit of a pair
+    #: [1] largest number of iterations of the fit of a pair
     iterations: int = 30
     #: [decay times] time that sets half the distance of the starting values where the record is longer
     decay_times: float = 3.0

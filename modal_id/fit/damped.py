@@ -44,7 +44,7 @@ class Tuning:
     #: [1] damping ratio from which a higher score is required
     #: measurement: Fits near critical damping reach several times more in random walks.
     nearly_critical: float = 0.4
-    #: [1] factor on the score there
+    #: [1] factor on the score required there
     #: measurement: As above.
     nearly_critical_factor: float = 5.0
     #: [1] ratio of successive decay rates of the search
@@ -60,7 +60,7 @@ class Tuning:
     samples_per_cycle: float = 8.0
     #: [samples] fewest samples of a part that is searched
     min_samples: int = 8
-    #: [1] candidates that are scored by a fit
+    #: [1] largest number of candidates that are scored by a fit
     scored: int = 32
     #: [sd] power of the first samples above that of noise from which waves are looked for
     #: statistics: Six standard deviations of a chi-square: chance is negligible.

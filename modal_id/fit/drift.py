@@ -18,15 +18,15 @@ class Tuning:
 
     #: [1] share of the noise level at a mode that slow motion may contribute
     leak: float = 0.02
-    #: [cycles] a swing on soft supports or by hand has fewer
+    #: [cycles] number of cycles below which a motion may be a swing on soft supports or by hand
     few_cycles: float = 15.0
-    #: [1] frequency of a swing over that of the lowest mode, at most
+    #: [1] largest frequency of a swing over that of the lowest mode
     #: physics: A beam's first mode lies at a sixth of the second.
     far_below: float = 0.1
-    #: [1] damping ratio from which few cycles at a low frequency are a swing
+    #: [1] damping ratio from which a low frequency with few cycles is a swing
     #: convention: A beam's first mode is weakly damped.
     strongly_damped: float = 0.02
-    #: [1] splines of the slow motion
+    #: [1] largest number of splines of the slow motion
     max_splines: int = 300
 
 

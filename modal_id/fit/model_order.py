@@ -41,22 +41,22 @@ class Tuning:
     #: [1] amplitude over the strongest mode's below which a line is no mode
     #: convention: Such lines are rounding errors or artefacts of an integrator.
     relative_floor: float = 1e-4
-    #: [1] rounds of the rejection of outliers
+    #: [1] largest number of rounds of outlier rejection
     #: convention: Samples at the limit may alternate forever.
     max_cleanings: int = 2
-    #: [1] times that the band of slow motion is widened
+    #: [1] largest number of times that the band of slow motion is widened
     most_widenings: int = 12
     #: [1] probability that noise alone gives a further mode
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
     #: [1] share of its frequency by which another mode may move when one is added
     most_moved: float = 0.02
-    #: [1] least damping ratio of a strongly damped mode beside others
+    #: [1] least damping ratio of a strongly damped mode beside other modes
     damped_zeta: float = 0.02
-    #: [1] its least amplitude over the largest
+    #: [1] least amplitude of such a mode over the largest amplitude
     #: convention: What a release and errors of the other modes leave at the beginning is weaker.
     least_damped: float = 0.05
-    #: [1] strongly damped modes tried beside others
+    #: [1] largest number of strongly damped modes tried beside others
     damped_trials: int = 3
 
 

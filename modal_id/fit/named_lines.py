@@ -41,9 +41,9 @@ from tracker import ComplexArray
 class Tuning:
     """Lines whose frequency is given."""
 
-    #: [1] share of a frequency within which it is named
+    #: [1] relative distance from a given frequency within which a line has that name
     named: float = 0.01
-    #: [bins] the same in bins of 1 / span
+    #: [bins] the same, where a bin is 1 / span of the record
     #: physics: The resolution of the record.
     named_bins: float = 2.0
     #: [1] damping ratio above which it is no line

@@ -25,7 +25,7 @@ from tracker import FloatArray
 class Tuning:
     """Lines removed before outliers are looked for."""
 
-    #: [1] lines that are removed
+    #: [1] largest number of lines removed
     most_lines: int = 4
     #: [1] half-width of the band about a removed line, over its frequency, in which no other is looked for
     half_width: float = 0.01

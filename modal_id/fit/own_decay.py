@@ -14,7 +14,7 @@ from modal_id.solve import ModeColumns, Problem, frequency_hz, motion, solve_lin
 class Tuning:
     """The fit of one mode's own decay."""
 
-    #: [1] averages a cycle over those of `thinning`
+    #: [1] factor on the averages per cycle that `thinning` chooses
     finer: float = 4.0 / 3.0
     #: [1] logarithm of the ratio of frequencies within which another mode is fitted beside it
     #: convention: The motion of the others is subtracted.

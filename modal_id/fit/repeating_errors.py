@@ -24,12 +24,12 @@ class Tuning:
     small: float = 5.0
     #: [1] correlation length of the shrinkage in asinh(amplitude)
     correlation: float = 0.6
-    #: [1] spacing of its knots
+    #: [1] spacing of the knots of the shrinkage in asinh(amplitude)
     #: convention: Below the correlation length.
     spacing: float = 0.5
-    #: [1] groups that alone may show the variance of a repeating error
+    #: [1] number of groups below which the variance of a repeating error must be clear
     few: int = 4
-    #: [1] multiple of the variance of noise that so few groups must show
+    #: [1] multiple of the noise variance that so few groups must show
     #: statistics: Two markers exceed it by chance in 5 % of records.
     chance: float = 4.0
 

@@ -18,11 +18,11 @@ from tracker import FloatArray
 class Tuning:
     """Levels of the noise."""
 
-    #: [steps] largest distance of an even sample from its place
+    #: [steps] largest distance of a sample from its place on an even grid
     even: float = 1e-3
-    #: [bins] wide window of the level
+    #: [bins] width of the wide window for the noise level
     wide_bins: int = 61
-    #: [bins] narrow window of the level
+    #: [bins] width of the narrow window for the noise level
     narrow_bins: int = 15
     #: [half-widths] outer edge of the bins outside a band
     outside: float = 4.0

@@ -20,16 +20,16 @@ class Tuning:
 
     #: [samples] samples per cycle of the highest frequency to which the record is thinned
     samples_per_cycle: float = 5.0
-    #: [1] rows of the block Hankel matrix
-    #: convention: For time.
+    #: [1] largest number of rows of the block Hankel matrix
+    #: convention: Limits the computing time.
     max_rows: int = 240
-    #: [1] reference channels
-    #: convention: For time.
+    #: [1] largest number of reference channels
+    #: convention: Limits the computing time.
     max_references: int = 3
-    #: [1] channels used
+    #: [1] largest number of channels used
     #: physics: More would shorten the block rows below a cycle of the lowest mode.
     max_channels: int = 8
-    #: [samples] samples by which the channels are chosen
+    #: [samples] number of samples from which the channels are chosen
     #: convention: They suffice for it.
     choosing_samples: int = 4096
     #: [1] largest order of the state
@@ -40,9 +40,9 @@ class Tuning:
     near: float = 0.01
     #: [1] successive orders, two states apart, in which a stable pole must occur
     least_run: int = 5
-    #: [1] relative difference of the damping ratios of a stable pole in successive orders, at most
+    #: [1] largest relative difference of the damping ratios of a stable pole in successive orders
     steady: float = 0.2
-    #: [1] the same, absolute
+    #: [1] absolute difference of the damping ratios allowed in addition
     #: convention: For poles of little damping.
     steady_zeta: float = 2e-4
 

@@ -18,25 +18,25 @@ from tracker import BoolArray, FloatArray
 class Tuning:
     """Films converted to another rate."""
 
-    #: [1] probability of a false answer in white noise, for all hypotheses of a record together
+    #: [1] probability of a false detection in white noise, for all hypotheses of a record together
     #: statistics: One record in ten thousand.
     false_alarm: float = 1e-4
     #: [1] line of the residual that is followed up
     #: statistics: White noise has one in 2 % of records.
     line: float = 4.0
-    #: [1] lines that are followed up
-    #: convention: For time.
+    #: [1] largest number of lines that are followed up
+    #: convention: Limits the computing time.
     lines: int = 3
-    #: [1] patterns that are fitted
-    #: convention: For time.
+    #: [1] largest number of patterns that are fitted
+    #: convention: Limits the computing time.
     most_patterns: int = 6
-    #: [periods] periods of a pattern in the record, at least
+    #: [periods] fewest periods of a pattern in the record
     #: convention: Fewer jumps may be changes of the motion.
     least_periods: float = 4.0
     #: [periods] periods below which blended frames must gain twice what noise reaches
     #: convention: Noise has slow changes.
     slow_periods: float = 8.0
-    #: [1] phases tried first
+    #: [1] number of phases tried first
     #: physics: The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the frames.
     phases: int = 8
     #: [sd] robust deviation of rows that are left out of the noise of blended frames
@@ -47,12 +47,12 @@ class Tuning:
     #: [sd] median modulus of a normal density
     #: physics: Its quartile.
     median_sd: float = 0.6745
-    #: [1] phases at which noise may have any variance
+    #: [1] number of phases that each have their own noise variance
     #: measurement: With one for all, 10 of 36 unconverted films in H.264 were taken for blended ones.
     variances: int = 8
-    #: [1] lags over which the correlation of the noise is counted
+    #: [1] number of lags over which the correlation of the noise is summed
     lags: int = 30
-    #: [1] share of rows without a sample from which these are tried as inserted frames
+    #: [1] share of rows without a sample from which these rows are tried as inserted frames
     #: convention: The tracker notes as many repeated ones.
     skipped: float = 0.02
 

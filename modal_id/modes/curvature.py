@@ -16,20 +16,20 @@ from tracker import ComplexArray, Failure, FloatArray
 class Tuning:
     """Shapes between the stations."""
 
-    #: [1] modes beyond the dominant one that are free
+    #: [1] number of unrestrained modes beyond the dominant one
     free_beyond: int = 3
-    #: [1] modes beyond those, which the evidence restrains
+    #: [1] number of modes beyond those, restrained by the evidence
     restrained: int = 20
     #: [1] power of the wave number with which their amplitudes fall
     #: physics: That of a smooth shape less the deflection by a force at the end.
     fall: float = 8.0
-    #: [1] stations beyond the free modes, at least
+    #: [1] fewest stations in excess of the unrestrained modes
     more_stations: int = 6
-    #: [1] distance of the outer stations from the ends, in mean distances, at most
+    #: [1] largest distance of the outer stations from the ends, over the mean distance of stations
     largest_gap: float = 2.0
-    #: [1] passes
+    #: [1] number of passes
     passes: int = 3
-    #: [1] sd of the position of either end, in mean distances of stations
+    #: [1] sd of the position of either end, over the mean distance of stations
     #: physics: A px where a station has five.
     end_sd: float = 0.2
 

@@ -27,7 +27,7 @@ class Tuning:
     #: [sd] rate over zero below which a decay is chosen only where there is no other
     #: statistics: 2.3 % of driven motions exceed it.
     decays_sd: float = 2.0
-    #: [1] factor on the sd of such a decay in the choice
+    #: [1] factor on the sd of such a decay when decays are compared
     #: convention: Any large number.
     last_choice: float = 1e6
     #: [1] energy over the record's largest below which a decay is a click or a transient

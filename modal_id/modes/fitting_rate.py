@@ -29,7 +29,7 @@ _USUAL_RATES_HZ = (
 class Tuning:
     """Rates that fit the theory."""
 
-    #: [1] error of theory up to which a usual rate is named
+    #: [1] relative error of the theory up to which a usual frame rate is named
     #: measurement: The standard beam of the paper is stiffer than the measured one by 7 % in mode 4.
     rate_error: float = 0.1
 

@@ -26,14 +26,14 @@ class Tuning:
 
     #: [1] residual power of the amplitude curve over the noise below which no pair of modes is needed
     explained: float = 1.5
-    #: [1] the same over what constant values leave
+    #: [1] the same, over the residual power that constant values leave
     mostly_explained: float = 0.01
     #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
     #: convention: A tenth.
     decade: float = 0.1
     #: [1] half-width of the band in which the residual is misfit of a mode, over its frequency
     own_share: float = 0.05
-    #: [bins] the same in bins of 1 / span
+    #: [bins] the same, where a bin is 1 / span of the record
     own_bins: float = 3.0
 
 

@@ -25,39 +25,39 @@ Kind = Literal["moved", "blended", "inserted"]
 class Tuning:
     """The clock of converted frames."""
 
-    #: [samples] rows from the start of the decay
-    #: convention: For time; the motion is strongest there.
+    #: [samples] largest number of rows used from the start of the decay
+    #: convention: Limits the computing time; the motion is strongest there.
     most_rows: int = 2_000
-    #: [1] channels with most of the motion
-    #: convention: For time.
+    #: [1] largest number of channels, those with most of the motion
+    #: convention: Limits the computing time.
     most_channels: int = 24
-    #: [1] components of the motion
-    #: convention: For time.
+    #: [1] largest number of components of the motion
+    #: convention: Limits the computing time.
     most_components: int = 6
-    #: [1] columns of the slow motion
+    #: [1] largest number of columns for the slow motion
     #: convention: It also follows a side band at a low frequency.
     most_slow: int = 64
-    #: [1] stretches of the record with a noise level each
+    #: [1] number of stretches of the record that each have their own noise level
     #: measurement: With one, 4 of 200 random records with outliers and clicks were taken for converted ones.
     stretches: int = 8
-    #: [samples] rows for each column below which nothing is compared
+    #: [samples] fewest rows for each column of the model; with fewer nothing is compared
     rows_per_column: int = 4
-    #: [bins] distance of side bands of double images from the mode
+    #: [bins] least distance from the mode of the side bands that double images make
     #: measurement: Nearer ones were fitted to a frequency that changes and to the errors of a codec.
     separate_bins: float = 8.0
-    #: [1] order up to which side bands are no modes
+    #: [1] highest order of a side band that is removed from the modes
     highest_order: int = 8
-    #: [bins] distance of a side band from its place, at most
+    #: [bins] largest distance of a side band from its expected frequency
     near_bins: float = 3.0
-    #: [1] MAC with the strongest mode of a side band, at least
+    #: [1] least MAC of a side band with the strongest mode
     same_shape: float = 0.8
-    #: [sd] difference of its decay rate, at most
+    #: [sd] largest difference of its decay rate from the mode's
     #: statistics: Noise exceeds it in 6e-5 of the lines.
     same_rate_sd: float = 4.0
-    #: [1] the same over the rate
+    #: [1] the same, over the decay rate
     #: convention: Other side bands that are left bias the rate.
     same_rate: float = 0.2
-    #: [steps] largest distance of a row from its place
+    #: [steps] largest distance of a row from its place on an even grid
     #: physics: A displaced frame is off by a third of one (rms).
     even: float = 0.1
 

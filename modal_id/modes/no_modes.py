@@ -18,22 +18,22 @@ from tracker import ComplexArray, FloatArray, PositionErrors
 class Tuning:
     """Lines that are no modes."""
 
-    #: [1] factor by which distortion is weaker than the motions that cause it
+    #: [1] least ratio of the amplitudes of the motions to that of the distortion they cause
     weaker: float = 3.0
     #: [sd] difference of frequency and decay rate within which a combination agrees
     #: statistics: 0.3 % of combinations exceed it.
     agree_sd: float = 3.0
-    #: [1] probability that some combination agrees by chance, at most
+    #: [1] largest probability that some combination agrees by chance
     #: statistics: One line in twenty.
     chance: float = 0.05
     #: [1] highest order of a harmonic
     highest_order: int = 40
-    #: [1] highest order of one above half the sampling rate
+    #: [1] highest order of a harmonic above half the sampling rate
     #: convention: Higher ones are too weak to show.
     highest_aliased: int = 5
-    #: [sd] line below this may be an error that repeats with a motion
+    #: [sd] amplitude of a line below which it may be an error that repeats with a motion
     error_sd: float = 2.0
-    #: [1] amplitude of that motion over the line's
+    #: [1] least amplitude of that motion over the line's
     cause: float = 10.0
     #: [1] share of the sd of what predicted frames omit that may look like another line
     #: convention: It follows the amplitude slowly.

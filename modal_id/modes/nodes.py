@@ -17,9 +17,9 @@ class Tuning:
 
     #: [1] half the window of the fit about a crossing, over the span of the stations
     half_window: float = 0.08
-    #: [1] fewest stations in it
+    #: [1] fewest stations in the window
     least_stations: int = 6
-    #: [sd] both sides of a crossing differ from zero by this somewhere in the window
+    #: [sd] distance from zero that both sides of a crossing must reach somewhere in the window
     #: statistics: Noise does so in 6e-5 of the stations.
     clear_sd: float = 4.0
 

@@ -25,11 +25,11 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Numbers of the modes."""
 
-    #: [1] weight of the MAC against the frequency
+    #: [1] weight of the MAC relative to the frequency
     mac_weight: float = 0.25
-    #: [1] relative sd of the frequencies of theory
+    #: [1] relative sd of the theoretical frequencies
     theory_error: float = 0.06
-    #: [1] share of the noise in the MAC that is allowed
+    #: [1] factor on the mean effect of the noise on the MAC, up to which a lower MAC is allowed
     #: statistics: A chi-square of two or more degrees of freedom exceeds seven times its mean once in 1000.
     most_noise: float = 7.0
     #: [1] log ratio of frequencies within which a mode is one that the user rejects

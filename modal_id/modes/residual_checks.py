@@ -23,14 +23,14 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Tests of the residual."""
 
-    #: [1] replicates
+    #: [1] number of replicates
     #: statistics: p-values in steps of 1 / 400.
     replicates: int = 399
-    #: [1] replicates of long records
+    #: [1] fewest replicates, for long records
     #: statistics: p-values in steps of 1 / 100.
     min_replicates: int = 99
-    #: [1] values of all replicates
-    #: convention: For memory.
+    #: [1] largest number of values in all replicates together
+    #: convention: Limits the memory.
     max_values: int = 6_000_000
     #: [samples] fewest samples
     min_samples: int = 64

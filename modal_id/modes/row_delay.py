@@ -16,27 +16,27 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """The delay of rows."""
 
-    #: [1] signal over noise of modes and channels that are used
+    #: [1] least signal over noise of the modes and channels used
     least_snr: float = 20.0
     #: [1] fewest such channels
     least_channels: int = 5
-    #: [sd] delay that is reported
+    #: [sd] least delay that is reported
     #: statistics: Noise exceeds it once in 5e8.
     clear_sd: float = 6.0
-    #: [rad] change of phase from the first to the last channel, at least
+    #: [rad] least change of phase from the first to the last channel
     least_phase: float = 0.01
-    #: [1] the same in damping ratios
+    #: [1] the same, over the damping ratio
     #: physics: Shapes with unevenly distributed damping are complex by about the damping ratio.
     least_ratios: float = 5.0
-    #: [1] groups of neighbouring channels of which each is left out once
+    #: [1] number of groups of neighbouring channels, each left out once
     #: convention: Their errors may be correlated.
     groups: int = 8
-    #: [sd] difference within which modes agree
+    #: [sd] largest difference between modes that agree
     #: convention: Eight groups know an sd to a quarter.
     agree_sd: float = 6.0
-    #: [1] passes
+    #: [1] number of passes
     passes: int = 4
-    #: [1] readout over the time between frames, at most
+    #: [1] largest readout time over the time between frames
     #: physics: 1, but for the error of the delay.
     longest_readout: float = 1.05
 

@@ -19,16 +19,16 @@ class Tuning:
 
     #: [samples] samples per cycle of the search
     samples_per_cycle: float = 8.0
-    #: [samples] samples of the search
-    #: convention: For time.
+    #: [samples] largest number of samples of the search
+    #: convention: Limits the computing time.
     most_samples: int = 3000
-    #: [1] channels of the search
-    #: convention: For time.
+    #: [1] largest number of channels of the search
+    #: convention: Limits the computing time.
     most_channels: int = 4
-    #: [1] modes of the search
-    #: convention: For time.
+    #: [1] largest number of modes of the search
+    #: convention: Limits the computing time.
     most_modes: int = 6
-    #: [1] strongest modes whose waves times a ramp are fitted, too
+    #: [1] number of strongest modes whose waves times a ramp are fitted, too
     #: convention: They may decay otherwise than the fit says.
     loose: int = 2
     #: [1] largest exponent of the growth of a wave from the middle of the record

@@ -17,9 +17,9 @@ from tracker import DisplacementSeries
 class Tuning:
     """Division into pieces."""
 
-    #: [1] divisions of a record
+    #: [1] largest number of divisions of a record
     most_splits: int = 6
-    #: [1] share of the motion's power that a fit may leave where no piece is explained
+    #: [1] share of the motion's power that a fit may leave where free decays explain no piece
     #: convention: It stands with wide intervals.
     most_rough: float = 0.1
 

@@ -45,11 +45,11 @@ class Tuning:
     most_left: float = 0.003
     #: [1] residual power of an amplitude curve over the noise up to which it explains that
     explained: float = 3.0
-    #: [1] the same over what constant poles leave
+    #: [1] the same, over the residual power that constant poles leave
     mostly_explained: float = 0.01
     #: [cycles] shortest piece of a divided decay
     least_cycles: float = 6.0
-    #: [cycles] the same where both parts have been fitted
+    #: [cycles] the same, where both parts have been fitted
     fewest_cycles: float = 2.5
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0

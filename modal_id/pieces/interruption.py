@@ -18,10 +18,10 @@ from tracker import BoolArray
 class Tuning:
     """Interruptions of a decay."""
 
-    #: [1] close modes from which they describe a transient
+    #: [1] fewest close modes that together describe a transient
     #: convention: A step or a stop.
     transient_modes: int = 3
-    #: [cycles] cycles that each of them has, at most
+    #: [cycles] largest number of cycles of each of these modes
     few_cycles: float = 12.0
     #: [1] rms of a channel at rest over that of the motion that follows
     rest_share: float = 0.2

@@ -17,9 +17,9 @@ class Tuning:
 
     #: [cycles] length of a window
     cycles: float = 2.0
-    #: [samples] the same, at least
+    #: [samples] shortest window
     least_rows: int = 16
-    #: [1] strongest modes on whose waves the residual is projected
+    #: [1] number of strongest modes on whose waves the residual is projected
     modes: int = 2
     #: [sd] errors of a codec that are no change of the motion
     #: convention: What it leaves out of small motions.

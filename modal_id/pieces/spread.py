@@ -16,7 +16,7 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Spread over parts of a decay."""
 
-    #: [1] parts
+    #: [1] number of parts
     parts: int = 3
     #: [cycles] shortest part
     least_cycles: float = 2.0

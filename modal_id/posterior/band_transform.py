@@ -20,10 +20,10 @@ class Tuning:
     #: [1] blocks per period of the largest distance from the centre
     #: physics: The phase changes by up to 0.2 rad within half a block.
     blocks_per_period: float = 16.0
-    #: [1] moments of each block
+    #: [1] number of moments of each block
     #: physics: 0.2^6 / 6! = 1e-7.
     moments: int = 6
-    #: [1] relative difference of even frequency steps
+    #: [1] relative difference up to which frequency steps count as equal
     #: physics: Above rounding.
     even: float = 1e-10
 

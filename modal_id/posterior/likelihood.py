@@ -20,7 +20,7 @@ class Tuning:
     #: [1] relative size of the first neglected term of the series
     #: physics: Far below a change of the log likelihood that matters.
     remainder: float = 1e-9
-    #: [1] terms of the series
+    #: [1] largest number of terms of the series
     max_terms: int = 60
     #: [1] logarithm of the energy of a wave over what is left when it is negligible
     #: physics: exp(-13.8) = 1e-6.
@@ -28,11 +28,11 @@ class Tuning:
     #: [1] side of a tile over its least decay rate
     #: physics: Its diagonal times the time in which the slowest wave becomes negligible is then 2.5.
     side: float = 0.25
-    #: [1] terms within a tile
+    #: [1] number of terms within a tile
     #: physics: They leave the same remainder.
     tile_terms: int = 20
-    #: [1] samples of all tiles
-    #: convention: For memory.
+    #: [1] largest number of samples in all tiles together
+    #: convention: Limits the memory.
     max_tile_samples: int = 4_000_000
 
 

@@ -28,20 +28,21 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """The level of the noise beside a mode."""
 
-    #: [1] half-width of the band over the frequency
+    #: [1] half-width of the band, over the mode's frequency
     relative_half_width: float = 0.06
     #: [bins] fewest bins on either side
     min_bins_aside: int = 12
-    #: [half-widths] half-power half-widths of the mode left out on each side
+    #: [half-widths] least half-width of the band in half-power half-widths of the mode
     #: physics: The fit absorbs about one.
     half_power_widths: float = 2.5
-    #: [bins] the same in bins
+    #: [bins] distance from a mode below which bins are left out; its half-power half-width is added for the other
+    #: modes
     own_bins: float = 1.25
-    #: [bins] bins of the band
+    #: [bins] largest number of bins in the band
     max_bins: int = 150
     #: [1] share of white noise that the fit leaves in a bin, below which it is not used
     least_left: float = 0.5
-    #: [1] channels whose levels are averaged
+    #: [1] largest number of channels whose levels are averaged
     #: statistics: Their standard deviation is then a few per cent.
     most_channels: int = 32
     #: [1] prior sd of the exponent of a local power law

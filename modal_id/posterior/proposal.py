@@ -21,20 +21,20 @@ class Tuning:
     width: float = 0.1
     #: [sd] distance up to which cells have that width
     fine: float = 4.0
-    #: [1] growth of the width further out
+    #: [1] ratio of successive widths further out
     growth: float = 1.1
-    #: [1] sectors of a ring
+    #: [1] number of sectors in a ring
     sectors: int = 32
-    #: [1] rings added at a time
+    #: [1] number of rings added at a time
     rings: int = 8
-    #: [1] log density below the largest at which no ring is added
+    #: [1] log density below the largest from which no further ring is added
     #: physics: exp(-16) = 1e-7.
     negligible: float = 16.0
     #: [1] least density of a cell over the largest
     #: physics: A cell whose corners all lie outside may contain a sliver.
     least: float = 1e-6
-    #: [1] steps whose proposals are drawn at one time
-    #: convention: For time.
+    #: [1] number of steps whose proposals are drawn together
+    #: convention: Limits the computing time.
     steps: int = 20
 
 

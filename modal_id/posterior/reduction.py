@@ -18,7 +18,7 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Rounding."""
 
-    #: [1] ridge of the inner products over the largest
+    #: [1] ridge added to the inner products, over the largest of them
     #: physics: Rounding errors may leave no more.
     ridge: float = 1e-13
 

@@ -17,14 +17,14 @@ from tracker import BoolArray, FloatArray
 class Tuning:
     """Clicks: outliers that lie together."""
 
-    #: [samples] other samples between rejected ones that belong together
+    #: [samples] most samples between two rejected ones that belong together
     gap: int = 4
     #: [1] probability, over the whole record, that as many single outliers lie together by chance
     #: statistics: One record in a thousand.
     false_alarm: float = 1e-3
-    #: [1] parts in which the rate of outliers is counted
+    #: [1] number of parts of the record in which the rate of outliers is counted
     parts: int = 40
-    #: [samples] samples over which the residual before a click is averaged, at least
+    #: [samples] fewest samples over which the residual before a click is averaged
     least: int = 32
     #: [1] mean square of the residual over the noise below which it is quiet
     #: statistics: By chance above at four standard deviations.

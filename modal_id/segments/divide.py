@@ -42,7 +42,7 @@ class Tuning:
     rest_sd: float = 5.0
     #: [cycles] shortest segment
     least_cycles: float = 3.0
-    #: [samples] the same
+    #: [samples] the same in samples
     least_rows: int = 12
     #: [cycles] length from which an event is no click
     #: convention: An event without duration disturbs four.

@@ -21,7 +21,7 @@ class Tuning:
     cycles: float = 2.0
     #: [samples] fewest samples of a window
     min_samples: int = 10
-    #: [1] span over the usual one above which a window contains a gap
+    #: [1] span of a window over the usual one, above which the window contains a gap
     longest: float = 1.5
     #: [1] share of the windows of the most complete channel below which a channel is left out
     complete: float = 0.5

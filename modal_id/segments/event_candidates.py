@@ -19,8 +19,8 @@ class Tuning:
     jump_sd: float = 8.0
     #: [1] the same over the amplitude
     jump_share: float = 0.15
-    #: [1] candidates that are tried
-    #: convention: For time.
+    #: [1] largest number of candidates that are tried
+    #: convention: Limits the computing time.
     most_candidates: int = 24
     #: [half windows] longest candidate
     #: convention: An event without duration disturbs four.

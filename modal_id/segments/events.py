@@ -29,7 +29,7 @@ class Tuning:
     least_cycles: float = 2.0
     #: [samples] the same
     least_rows: int = 10
-    #: [1] modes of these decays
+    #: [1] largest number of modes of these decays
     modes: int = 4
     #: [1] share of the motion that free decays over the piece may leave where they explain a candidate
     explained_share: float = 0.1
@@ -40,16 +40,16 @@ class Tuning:
     slow: float = 0.25
     #: [1] relative difference from the dominant line within which a fitted decay is that line
     same_line: float = 0.1
-    #: [1] factor by which a step of the offset exceeds the range of slow motion
+    #: [1] ratio of a step of the offset to the range of slow motion above which it counts as a step
     wobble: float = 1.5
     #: [cycles] nearest cycles of either side between which a step is measured
     near_cycles: float = 2.0
-    #: [1] jump of the confirmed state over the larger amplitude
+    #: [1] least jump of the state of a confirmed event, over the larger amplitude
     confirmed_share: float = 0.03
-    #: [sd] the same
+    #: [sd] the same in standard deviations
     #: statistics: Noise exceeds it in 6e-7 of the candidates.
     confirmed_sd: float = 5.0
-    #: [1] jump of phase or offset, over the amplitude, where the amplitude hardly changes
+    #: [1] least jump of phase or offset, over the amplitude, where the amplitude hardly changes
     #: measurement: A codec shifts phases by a quarter of a radian at key frames.
     interrupted_share: float = 0.4
     #: [1] ratio of amplitudes from which the amplitude rises

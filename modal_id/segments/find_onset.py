@@ -18,14 +18,14 @@ from tracker import BoolArray, FloatArray
 class Tuning:
     """The begin of the fit."""
 
-    #: [1] longest delay of the fit over the record
+    #: [1] longest delay of the fit after the onset, over the time that remains
     max_settle_fraction: float = 0.1
     #: [decay times] delay of the fit after a release where decay times are shorter than a cycle
     settle_decay_times: float = 0.3
     #: [1] probability from which an onset counts as known
     #: statistics: 95 %.
     likely: float = 0.95
-    #: [1] modes excited by a release
+    #: [1] largest number of modes that a release excites
     max_excited: int = 8
 
 

@@ -20,7 +20,7 @@ class Tuning:
 
     #: [samples] shortest run of repeated samples that is a segment of its own
     least_run: int = 3
-    #: [1] such segments that are named
+    #: [1] largest number of such segments that are named
     most_runs: int = 8
     #: [sd] half the range between the 1 % and 99 % quantiles from which a channel moves
     #: physics: Of white noise it is 2.3.

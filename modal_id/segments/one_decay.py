@@ -14,9 +14,9 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """One decay or two."""
 
-    #: [1] iterations of the fit
+    #: [1] largest number of iterations of the fit
     iterations: int = 30
-    #: [1] relative change at convergence
+    #: [1] relative change below which the fit has converged
     converged: float = 1e-6
     #: [windows] fewest windows on either side of a change
     side: int = 3

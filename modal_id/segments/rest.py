@@ -17,7 +17,7 @@ class Tuning:
     #: [sd] deviation that samples at rest do not exceed
     #: statistics: Noise exceeds it once in 5e8 samples.
     within: float = 6.0
-    #: [sd] amplitude of a motion
+    #: [sd] least amplitude of a motion after rest
     #: physics: Half a cycle of such a motion exceeds the limit of rest.
     moves: float = 15.0
     #: [samples] shortest rest
@@ -25,7 +25,7 @@ class Tuning:
     #: [cycles] longest rest that is looked for
     #: physics: Longer rest shows in the envelope.
     most_cycles: float = 6.0
-    #: [cycles] cycles of the motion after it
+    #: [cycles] length of the motion examined after the rest
     motion_cycles: float = 2.0
 
 

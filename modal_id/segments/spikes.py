@@ -23,7 +23,7 @@ class Tuning:
     quiet: float = 0.25
     #: [1] share of a window's samples that may be removed
     most: float = 0.1
-    #: [1] least degrees of freedom left
+    #: [1] fewest degrees of freedom that must be left
     least_freedom: int = 3
     #: [1] share of the windows about a sample that its removal must explain
     agreed: float = 0.75

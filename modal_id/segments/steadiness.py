@@ -16,11 +16,11 @@ from tracker import BoolArray
 class Tuning:
     """Steady motion."""
 
-    #: [1] modes of the fit
+    #: [1] largest number of modes of the fit
     modes: int = 4
     #: [1] relative distance from the frequency looked for within which a line is the dominant one
     same_line: float = 0.05
-    #: [1] sd of the change of the log amplitude above which nothing is known
+    #: [1] sd of the change of the log amplitude above which steadiness cannot be judged
     steady_known: float = 0.1
     #: [1] change of the log amplitude that is steady whatever its sd
     steady_change: float = 0.02
@@ -28,7 +28,7 @@ class Tuning:
     strong: float = 0.2
     #: [1] fall of the log amplitude from which it decays
     decayed: float = 0.5
-    #: [1] factor by which a decay that starts at an event is faster than the motion before
+    #: [1] ratio of the decay rate after an event to that before, from which a decay starts there
     #: convention: A drive keeps that up.
     starts: float = 3.0
     #: [beats] modes with fewer beats in the record are close

@@ -19,7 +19,7 @@ FEW_CYCLES = 12.0
 class Tuning:
     """Swings of the whole set-up."""
 
-    #: [1] frequency of a swing over that of the motion, at most
+    #: [1] largest frequency of a swing over that of the motion
     slow: float = 0.25
     #: [1] bandwidth of the splines over the frequency of the swing
     #: physics: They follow a sine within 1e-3 of its amplitude.

@@ -23,11 +23,11 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Convergence of the poles."""
 
-    #: [1] iterations of a result
+    #: [1] largest number of iterations for a result
     max_iterations: int = 40
-    #: [1] iterations of a search
+    #: [1] largest number of iterations in a search
     search_iterations: int = 15
-    #: [1] halvings of a step
+    #: [1] largest number of halvings of a step
     max_halvings: int = 10
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.

@@ -22,8 +22,8 @@ class Tuning:
     #: [rad] error of phase up to which times count as even
     #: physics: Far below the noise of a sample.
     even: float = 1e-9
-    #: [1] values up to which the functions of all samples are held
-    #: convention: For memory.
+    #: [1] number of values up to which the functions are held for all samples
+    #: convention: Limits the memory.
     few_values: int = 500_000
 
 

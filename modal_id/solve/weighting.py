@@ -20,8 +20,8 @@ from tracker import FloatArray
 class Tuning:
     """Products shared."""
 
-    #: [1] share of samples in which weights of a group may differ
-    #: convention: For time.
+    #: [1] largest share of samples in which the weights of groups that share products may differ
+    #: convention: Limits the computing time.
     max_different: float = 0.1
 
 

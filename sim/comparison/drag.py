@@ -46,13 +46,12 @@ class Tuning:
     #: physics: The midpoint rule is off by about (pi r / 200)^2 / 24 of mode r: 1e-5 of mode 1, 3e-4 of mode 5.
     points: int = 200
     #: [1] Gauss-Newton rounds; beyond, only a limit is given
-    #: convention: Chosen for time: a round simulates six decays.
+    #: convention: Limits the computing time: a round simulates six decays.
     rounds: int = 8
     #: [1] times that a step is shortened before none is better
     #: convention: Chosen; the last step is 0.3^3 of the first.
     halvings: int = 4
     #: [1] factor on a step that is not better
-    #: convention: Chosen, not derived.
     shortens: float = 0.3
     #: [1] gain of twice the log likelihood by another step at convergence
     #: statistics: Moves no parameter by more than a tenth of its sd.

@@ -34,7 +34,6 @@ class Tuning:
     #: corrected.
     sure: float = 3.0
     #: [1] rounds of corrections
-    #: convention: Chosen, not derived.
     corrections: int = 4
     #: [rad] change of the phase at the end of the record below which the frequency has converged
     #: physics: Moves a sample by a thousandth of the amplitude at that time, below the noise.

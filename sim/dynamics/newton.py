@@ -38,13 +38,11 @@ class Tuning:
     #: convention: A step of 0.5 ms takes 2 to 4 at the tip amplitudes of the paper and at 200 mm; the rest is reserve.
     iterations: int = 20
     #: [tolerances] increment below which one that no longer decreases counts as rounding, and the step as solved
-    #: convention: Chosen, not derived.
     stalled: float = 50.0
     #: [1] iterations after which an increment may count as stalled
     #: convention: Chosen; a usual step has ended by then.
     stalled_after: int = 4
     #: [1] contraction per iteration above which an increment counts as no longer decreasing
-    #: convention: Chosen, not derived.
     stalled_contraction: float = 0.7
     #: [1] contraction of the increment per iteration above which the next step factors the tangent anew
     #: convention: Chosen: one factorisation saves iterations of the later steps.

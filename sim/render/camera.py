@@ -1,7 +1,4 @@
-"""The modelled camera: geometry, exposure, lens and noise.
-
-Positions and angles of points at any time.
-"""
+"""The modelled camera, and the positions and angles of the points that it films."""
 
 from __future__ import annotations
 

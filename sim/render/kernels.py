@@ -1,8 +1,6 @@
-"""Compiled kernels that add blurred markers and strips to a frame, integrated over each pixel.
+"""Compiled kernels that add blurred markers and bare strips to a frame, integrated over each pixel.
 
-Number of Gauss-Legendre points that integrate a blurred image over a pixel or an exposure.
-
-Compiled kernel that adds a bare strip to a frame, integrated over each pixel.
+`order_for` gives the number of Gauss-Legendre points of an integral over a pixel or an exposure.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Markers, as finely sampled images through the lens.
+"""Markers and random surface patterns: their images through the lens.
 
-A random pattern on a surface, whose image through a lens is known in closed form.
+The image of a marker is a finely sampled table; that of a pattern is known in closed form.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A simulated recording: the clamp is driven at a mode and stopped, the beam decays, a camera cropped to it films.
+"""A simulated recording and the video file that holds it, with reproducible bytes.
 
-Video files with reproducible bytes.
+The clamp is driven at a mode and stopped, the beam decays, and a camera cropped to the motion films it.
 """
 
 from __future__ import annotations

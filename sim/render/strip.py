@@ -1,8 +1,6 @@
-"""A bare beam seen edge-on: its centreline and its surface.
+"""A bare beam seen edge-on: its centreline, its surface, and its image in front of a still background.
 
-The image of a bare strip in front of a still background.
-
-Motion of an inextensible beam given by the angle of its centreline: any rest shape, any rotation.
+The motion is that of an inextensible beam given by the angle of its centreline, with any rest shape and rotation.
 """
 
 from __future__ import annotations

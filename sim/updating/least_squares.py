@@ -1,11 +1,9 @@
-"""Factors within a bound that fit the modes to the measured ones, and the smallest bound for an exact fit.
+"""Updates by least squares: the paper's method and a uniform change of the properties.
 
-The factors are those of the paper: of the width and thickness of each element, of density and modulus, between 1 -
-bound and 1 + bound. Of the many solutions the one nearest to the start is chosen: undetermined factors do not change.
-
-The paper's updating method: 42 variables within 10 %, no gravity, least squares from the standard beam.
-
-Uniform change of the properties along the beam, and the combinations of properties that the data determine.
+The paper's method has no gravity and starts from the standard beam. Its factors on the width and thickness of each
+element, on density and on modulus, 42 for 20 elements, lie between 1 - bound and 1 + bound (10 % in the paper). Of the
+many solutions the one nearest to the start is chosen: undetermined factors do not change. `smallest_bound` is the least
+bound with an exact fit. `update_uniform` also gives the combinations of properties that the data determine.
 """
 
 from __future__ import annotations
@@ -31,7 +29,6 @@ class Tuning:
     #: physics: Determines only what the data do not; it shifts the frequencies by less than 1e-7.
     pull: float = 0.01
     #: [1] Gauss-Newton iterations
-    #: convention: Chosen, not derived.
     iterations: int = 40
     #: [1] share of a step below which it is not halved again: the point counts as the solution
     #: convention: Nine halvings; chosen.
@@ -46,10 +43,8 @@ class Tuning:
     #: convention: Chosen: frequencies are close to linear in the logarithms over some per cent.
     first_reach: float = 0.2
     #: [1] growth of the trust region after a program that improved
-    #: convention: Chosen, not derived.
     grows: float = 2.0
     #: [1] factor on the trust region after one that did not
-    #: convention: Chosen, not derived.
     shrinks: float = 0.25
     #: [1] trust region below which the programs end
     #: physics: A tenth of the accuracy at which the frequencies count as reached.
@@ -58,7 +53,6 @@ class Tuning:
     #: physics: A hundred-millionth of a bound of 10 %: below what is printed.
     smallest_gain: float = 1e-9
     #: [1] linear programs at one price
-    #: convention: Chosen, not derived.
     programs: int = 100
     #: [1] relative deviation of every frequency below which they count as reached
     #: physics: A thousandth of model_sd.
@@ -68,16 +62,14 @@ class Tuning:
     #: linear.
     price: float = 2.0
     #: [1] growth of the penalty where the frequencies are not reached
-    #: convention: Chosen, not derived.
     price_growth: float = 5.0
     #: [1] penalties tried before no bound is found
-    #: convention: Chosen, not derived.
     prices: int = 3
     #: [1] distance of a factor from its bound at which it is listed as at the bound
     #: physics: The accuracy of the factors at convergence.
     at_bound: float = 1e-6
     #: [1] further random starts, whose scatter shows what the data leave open
-    #: convention: Chosen for time: each costs as much as the update.
+    #: convention: Limits the computing time: each costs as much as the update.
     other_starts: int = 4
     #: [1] sd of a combination over the bound below which it counts as determined
     #: physics: Half the bound is the sd of the prior: the data then say more.

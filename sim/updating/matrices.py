@@ -7,9 +7,8 @@ slope); those "of one direction" are (displacement, slope).
 Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse,
 so that both problems have half the size.
 
-Derivatives of ``left^T (K - square M) right`` with respect to the factors, with the change of the equilibrium.
-
-See `sim.updating.family` for the equations.
+`changes` has the derivatives of ``left^T (K - square M) right`` with respect to the factors, with the change of the
+equilibrium; `sim.updating.family` has the equations.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 r"""Posterior of a beam's properties: its maximum, Gaussian evidence, and weighted independent draws.
 
-In whitened coordinates z (prior standard normal, ``log factor = B z``) the posterior is
+The prior is Gaussian in the logarithms of the factors. In whitened coordinates z (prior standard normal,
+``log factor = B z``) the posterior is
 
 .. math::  \pi(z) \propto \exp(-\tfrac12 |z|^2 - \tfrac12 |g(z)|^2)
 
@@ -23,8 +24,6 @@ Bardsley, Solonen, Haario, Laine, "Randomize-then-optimize: a method for samplin
 nonlinear inverse problems", SIAM J. Sci. Comput. 36 (2014) A1895-A1910, doi:10.1137/140964023.
 Bardsley, Cui, Marzouk, Wang, "Scalable optimization-based sampling on function space", SIAM J. Sci. Comput. 42 (2020)
 A1317-A1347, doi:10.1137/19M1245220.
-
-Prior of the properties: Gaussian in the logarithms of the factors.
 """
 
 from __future__ import annotations
@@ -47,7 +46,6 @@ class Tuning:
     """Convergence of the maximum and of the draws; what the prior keeps."""
 
     #: [1] Gauss-Newton iterations to the maximum
-    #: convention: Chosen, not derived.
     iterations: int = 60
     #: [1] share of a Gauss-Newton step below which it is not halved again: the point counts as the maximum
     #: convention: Thirteen halvings; chosen.
@@ -56,13 +54,11 @@ class Tuning:
     #: physics: The error of the log evidence is the square of this times the precision of the data, 1e6: 1e-6.
     settled: float = 1e-6
     #: [1] Newton iterations for one draw; beyond, it has no solution and no weight
-    #: convention: Chosen, not derived.
     draw_iterations: int = 25
     #: [sd of the draw] error of the equations at which the iteration of a draw ends
     #: physics: The weight is exact for the point reached: the error is one of the draw's place only.
     draw_error: float = 1e-6
     #: [prior sd] longest step of the iteration of a draw
-    #: convention: Chosen, not derived.
     longest_step: float = 1.0
     #: [1] prior variance of a direction, over the largest, below which it is left out
     #: measurement: Left-out directions change no frequency by 1e-6.

@@ -16,7 +16,7 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """The end of driving."""
 
-    #: [samples] samples of the search
+    #: [samples] number of samples to which a longer record is thinned for the search, up to a factor of two
     #: convention: Its result is refined on all.
     search_samples: int = 3000
     #: [cycles] least driving before a change
@@ -24,12 +24,12 @@ class Tuning:
     #: [cycles] least decay after it
     #: physics: A change in the last few cycles is a jolt or a frozen frame.
     min_free_cycles: float = 5.0
-    #: [1] channels of the search
-    #: convention: For time.
+    #: [1] largest number of channels of the search
+    #: convention: Limits the computing time.
     max_channels: int = 4
     #: [samples] fewest samples of a side
     least_samples: int = 8
-    #: [1] rate of the driven amplitude's fall, over that of the free decay, at most
+    #: [1] largest decay rate of the driven amplitude over that of the free decay
     #: convention: Free motion whose damping depends on the amplitude decays faster.
     driven_decay: float = 0.1
     #: [sd] the same in standard deviations
@@ -39,9 +39,9 @@ class Tuning:
     least_driven_cycles: float = 2.0
     #: [cycles] driven cycles below which their rate must be known well
     few_driven_cycles: float = 3.0
-    #: [1] sd of that rate over the rate of the free decay, at most
+    #: [1] largest `rate_sd` standard deviations of that rate, over the rate of the free decay
     few_driven_sd: float = 0.5
-    #: [1] logarithm of the drive's frequency over the dominant one, at most
+    #: [1] largest logarithm of the ratio of the drive's frequency to the dominant one, either way
     #: convention: A factor of 1.5.
     drive_near: float = 0.4
 

@@ -32,10 +32,10 @@ class Tuning:
     misfit: float = 1.2
     #: [cycles] least length of a side
     min_cycles: float = 3.0
-    #: [samples] rows on either side
+    #: [samples] largest number of samples on either side
     #: convention: More add little and cost much.
     max_rows: int = 5000
-    #: [1] times that a side is shortened
+    #: [1] largest number of times that a side is shortened
     max_shortenings: int = 5
     #: [cycles] sd of the middle of a real stop
     #: physics: A stop that takes a tenth of a cycle is uncertain by a tenth of that.

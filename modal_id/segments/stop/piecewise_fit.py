@@ -21,22 +21,22 @@ FIRST_STEPS = 3
 class Tuning:
     """Convergence of the fit on both sides of a stop."""
 
-    #: [1] minima that are refined
+    #: [1] number of minima that are refined
     minima: int = 3
     #: [1] relative ridge of the normal equations
     #: physics: Above rounding.
     ridge: float = 1e-12
-    #: [1] steps of the fit
+    #: [1] largest number of steps of the fit
     max_steps: int = 40
-    #: [1] halvings of a step
+    #: [1] largest number of halvings of a step
     halvings: int = 8
     #: [1] relative step of the numerical derivatives
     difference: float = 1e-4
     #: [samples] samples required on each side of the instant
     margin: int = 12
-    #: [1] instants of the coarse search
+    #: [1] largest number of instants in the coarse search
     coarse_points: int = 300
-    #: [1] instants per cycle
+    #: [1] number of instants per cycle in the coarse search
     points_per_cycle: float = 24.0
 
 

@@ -25,10 +25,10 @@ class Tuning:
     #: [1] increase of chi-square up to which another instant competes
     #: statistics: A probability of 5e-4 for one instant.
     competing: float = 12.0
-    #: [1] the same before its descent
+    #: [1] the same, before the instant is refined
     competing_before_descent: float = 300.0
-    #: [1] instants that are followed
-    #: convention: For time.
+    #: [1] largest number of competing instants that are followed
+    #: convention: Limits the computing time.
     most_competing: int = 5
 
 
