@@ -56,9 +56,10 @@ def content(folder):
 
 def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path):
     """Without it they are refused, as in test_refusals.py."""
-    mine = write_table(tmp_path / "mine.svg")
+    write_decay(tmp_path)
+    mine = tmp_path / "experiment.toml"
     before = mine.read_bytes()
-    assert modalcam("markers", "-o", mine, "--force")[0] == ExitCode.OK
+    assert modalcam("init", tmp_path, "-o", mine, "--force")[0] == ExitCode.OK
     assert mine.read_bytes() != before
 
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from support.paths import ROOT
+from support.paths import APPS, ROOT
 
 from benchmarks.tuning import (
     EFFECTS,
@@ -26,6 +26,7 @@ from benchmarks.tuning_battery import AFFECTED, PARTS, Found, affected, differen
 EVERY = [(module, constant) for module in modules() for constant in constants(module)]
 
 
+@pytest.mark.skipif(not APPS, reason="modalcam/apps was deleted")
 def test_the_page_is_up_to_date():
     stated = (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8")
     assert stated == page(effects(EFFECTS)), "run python -m benchmarks.tuning --page docs/tuning.md"

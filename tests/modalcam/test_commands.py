@@ -12,7 +12,7 @@ import time
 
 import pytest
 from kit.films import EXPERIMENT, write_decay
-from support.paths import ROOT
+from support.paths import APPS, ROOT
 
 from modalcam import plugins
 from modalcam.commands import Options, _find, _inputs_key, report
@@ -188,7 +188,7 @@ def test_only_missing_or_edited_files_are_written_again(folder, out):
     done, err = run(folder, out)
     assert done.returncode == 0, err
     assert "identifying: reused b, take" in err
-    assert "filming the simulation: reused b, take" in err
+    assert ("filming the simulation: reused b, take" in err) == APPS
     assert "writing: reused" in err
     assert contents(out) == before
     assert (out / "comparison.csv").stat().st_mtime_ns == unchanged
@@ -226,7 +226,8 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     assert list(table.columns) == list(rows[0])
     assert [f"{value!r}" for value in table["frequency_hz"]] == [row["frequency_hz"] for row in rows]
     assert [recording.name for recording in result.recordings] == ["b", "take"]
-    assert all(r.tracks and r.comparison and r.added["simulated"] for r in result.recordings)
+    assert all(("simulated" in r.added) == APPS for r in result.recordings)
+    assert all(r.tracks and r.comparison and all(r.added.values()) for r in result.recordings)
     assert result.beam.updated is not None
 
 
