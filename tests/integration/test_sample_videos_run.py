@@ -113,7 +113,8 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
     assert "Rayleigh damping fails at mode 3, mode 4 and mode 5" in report
     page = Page(report)
     links = [unquote(v) for v in page.values("href") if not v.startswith(("#", "data:", "https:"))]
-    assert len(links) > 15
+    # five files of all recordings, tracks of each and the page; posteriors and universal files are extras
+    assert len(links) > 10
     assert all((out / link).is_file() for link in links), links
     words = page.words
     assert "Rayleigh damping with constant K overestimates damping as soon as elements rotate" in words

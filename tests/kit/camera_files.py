@@ -116,10 +116,11 @@ def write_cine(path, images, *, bits, packing=0, depth=None, rate=5000, times_s=
 
 
 def write_folder(folder, images, suffix, *, numbers=None, name="frame{}"):
-    """A new folder of numbered images."""
+    """A new folder of numbered images; TIFF without compression, which needs no further library."""
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix == ".tif" else []
     folder.mkdir()
     for number, image in zip(numbers or range(1, len(images) + 1), images, strict=True):
-        ok, data = cv2.imencode(suffix, image)
+        ok, data = cv2.imencode(suffix, image, options)
         assert ok
         (folder / (name.format(number) + suffix)).write_bytes(data.tobytes())
     return folder

@@ -135,8 +135,8 @@ class TiffSource:
             compression = getattr(page.compression, "name", page.compression)
             raise unreadable(
                 self._path,
-                f"its first image cannot be read (compression {compression}: {error}); "
-                "save it without compression, or with LZW",
+                f"its first image cannot be read (compression {compression}: {error}); save it without compression, or "
+                'install the codecs: pip install "modalcam[tiff]"',
             ) from error
         return page
 

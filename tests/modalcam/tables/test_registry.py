@@ -46,6 +46,8 @@ TOY = Writer("count", "count.txt", "number of recordings", count_outputs)
 
 
 def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
+    for library, extra in (("h5netcdf", "netcdf"), ("pyuff", "uff")):
+        pytest.importorskip(library, reason=f"the extra modalcam[{extra}] is not installed")
     register_writer(TOY)
     write_all(tmp_path, result)
     assert (tmp_path / "count.txt").read_text() == "1"
@@ -85,6 +87,7 @@ def test_names_are_unique(writers):
 
 
 def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, writers, monkeypatch):
+    pytest.importorskip("h5netcdf", reason="the extra modalcam[netcdf] is not installed")
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pyuff" else find(name))
     write_all(tmp_path, result)

@@ -168,6 +168,7 @@ def test_imagej_stack_with_a_single_page(tmp_path):
 
 
 def test_tiff_variants(tmp_path):
+    pytest.importorskip("imagecodecs", reason="the extra modalcam[tiff] is not installed")
     image = media.images(1)[0]
     for name, options in {
         "be": {"byteorder": ">"},
@@ -195,6 +196,7 @@ def test_tiff_variants(tmp_path):
 
 
 def test_a_damaged_page_of_a_compressed_stack_is_a_missing_frame(tmp_path):
+    pytest.importorskip("imagecodecs", reason="the extra modalcam[tiff] is not installed")
     images = media.images(5)
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.stack(images), compression="lzw", photometric="minisblack")
