@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.posterior.reduction import ReducedLikelihood, Reduction, reduction
-from modal_id.solve import PoleFit, Problem, thinning
+from modal_id.solve import ModeColumns, PoleFit, Problem, solve_linear, thinning
 from tracker import ComplexArray, FloatArray
 
 
@@ -97,7 +97,11 @@ def reduce_mode(
     if terms is not None:
         return reduction(problem, fit, mode, close).about(centre, terms)
     factor = thinning(time, 2.0 * fit.poles)
-    problem = problem.thinned(factor) if factor > 1 else problem
+    if factor > 1:
+        problem = problem.thinned(factor)
+        linear = solve_linear(problem, ModeColumns(problem.data.time_s, fit.poles))
+        # The weights of averages count their samples: the variance of one is that of the whole fit.
+        fit = replace(fit, linear=replace(linear, noise_variance=fit.linear.noise_variance))
     least = 0.5 * TUNING.negligible / problem.data.span_s
     tiles = (2.0 * reach_per_s / float(_side(np.array(centre.real), least)) + 1.0) ** 2
     if tiles * problem.data.time_s.size > TUNING.max_tile_samples:

@@ -76,10 +76,15 @@ def test_channels_with_different_outliers_and_a_close_mode():
     np.testing.assert_allclose(got, expected, rtol=1e-5)
 
 
-def test_a_pole_that_is_hardly_determined_is_computed_in_tiles():
-    """Noise of 0.6 of the first deflection: one series would need hundreds of terms; tiles agree with all samples."""
+@pytest.mark.parametrize(("rate_hz", "lost"), [(100.0, 0.0), (450.0, 0.003)])
+def test_a_pole_that_is_hardly_determined_is_computed_in_tiles(rate_hz, lost):
+    """Noise of 0.6 of the first deflection: one series would need hundreds of terms; tiles agree with all samples.
+
+    A change of chi-square of 0.01 moves a log density by 0.005. Averages of three of the fast samples lose 0.3 % of the
+    information, as the description says: of a chi-square c, 0.003 c, and by chance 2 sqrt(0.003 c), of which three sd.
+    """
     rng = np.random.default_rng(1)
-    t = np.arange(1500) / 100.0
+    t = np.arange(15 * rate_hz) / rate_hz
     values = np.exp(pole_of(6.0, 0.02) * t).real + 0.6 * rng.standard_normal(t.size)
     first = find_modes(prepare(series_of(t, np.exp(pole_of(6.0, 0.02) * t).real)).data, 1)
     model = refit(first, first.fit.poles, prepare(series_of(t, values)).data)
@@ -91,8 +96,8 @@ def test_a_pole_that_is_hardly_determined_is_computed_in_tiles():
     pole = complex(model.fit.poles[0])
     expected = [chi_square_of_all_samples(model, 0, pole + d, np.array([], dtype=np.intp)) for d in change]
     expected = np.array(expected) - chi_square_of_all_samples(model, 0, pole, np.array([], dtype=np.intp))
-    # A change of chi-square of 0.01 moves a log density by 0.005.
-    np.testing.assert_allclose(got, expected, atol=0.01)
+    most_off = 0.01 + lost * expected + 6.0 * np.sqrt(lost * expected)
+    assert np.all(np.abs(got - expected) < most_off), (got - expected) / most_off
     assert len(likelihood.tiles) > 1
 
 
