@@ -1,8 +1,9 @@
 """Scores of answers to random records, the same for every version of the program, and their table.
 
-Truth is the small-amplitude value of a mode. *Wrong*: a listed mode differs from the nearest true mode by more than
-four stated standard deviations and by more than 1 %; a mode of a record that is driven throughout; a record with a
-decay called driven. *Confident*: a mode that is wrong without a flag of severity WRONG.
+Truth is the small-amplitude value of a mode; where damping grows with the amplitude, it is compared with what the
+answer states for small amplitude. *Wrong*: a listed mode differs from the nearest true mode by more than four stated
+standard deviations and by more than 1 %; a mode of a record that is driven throughout; a record called driven that
+never is, or whose decay determines mode 1 to 1 %. *Confident*: a mode that is wrong without a flag of severity WRONG.
 """
 
 from __future__ import annotations
@@ -25,13 +26,17 @@ Score = dict[str, Any]
 
 def score(answer: Answer, truth: RecordScene) -> Score:
     """What is right and wrong in one answer."""
-    modes = answer["modes"]
     only_drive = "only drive" in truth.traits
+    modes = (
+        [_at_small_amplitude(m) for m in answer["modes"]] if "zeta(A)" in truth.traits else answer["modes"]
+    )
     wrong = [mode for mode in modes if only_drive or _is_wrong(mode, truth.modes)]
-    misled = answer["kind"] == "driven" and not only_drive
+    never = all(part.kind != "driven" for part in truth.parts) and "drive" not in truth.traits
+    misled = answer["kind"] == "driven" and not only_drive and (never or truth.informative)
     found: Score = {
         "cpu_s": answer["cpu_s"],
         "peak_mb": answer["peak_mb"],
+        "crashed": answer["kind"] == "crashed",
         "wrong": bool(wrong) or misled,
         "confident": any(not mode["wrong_flags"] for mode in wrong),
         "false": len(modes),
@@ -46,6 +51,11 @@ def score(answer: Answer, truth: RecordScene) -> Score:
     if answer["set"] == "parts":
         found |= _of_parts(answer["parts"], truth)
     return found
+
+
+def _at_small_amplitude(mode: Mapping[str, Any]) -> dict[str, Any]:
+    value, sd = mode["small_zeta"]
+    return {**mode, "zeta": value, "zeta_sd": sd, "zeta_90": (value - 1.6448536 * sd, value + 1.6448536 * sd)}
 
 
 def _is_wrong(mode: Mapping[str, Any], true: Sequence[tuple[float, float]]) -> bool:
@@ -80,14 +90,12 @@ def _of_first_mode(modes: Sequence[Mapping[str, Any]], truth: RecordScene) -> Sc
     mode = next((m for m in own if m["target"]), None) or max(own, key=lambda m: float(m["amplitude"]))
     low, high = mode["zeta_90"]
     reach = 1.6448536 * mode["frequency_sd_hz"]
-    small, small_sd = mode["small_zeta"]
     return {
         "first": True,
         "far": not abs(mode["zeta"] / zeta - 1) < 0.2,
         "zeta_error": abs(mode["zeta"] / zeta - 1),
         "z_frequency": (mode["frequency_hz"] - frequency) / mode["frequency_sd_hz"],
         "z_zeta": (mode["zeta"] - zeta) / mode["zeta_sd"],
-        "z_small": (small - zeta) / small_sd,
         "in_frequency": abs(mode["frequency_hz"] - frequency) < reach,
         "in_zeta": low <= zeta <= high,
         "zeta_sd": mode["zeta_sd"] / zeta,
@@ -171,6 +179,7 @@ def _row(scores: Sequence[Score]) -> dict[str, str]:
     excited = sum(all_of("excited"))
     return {
         "records": str(len(scores)),
+        "crashes": count("crashed"),
         "wrong": count("wrong"),
         "of these without a flag": count("confident"),
         "informative": str(len(all_of("refused"))),

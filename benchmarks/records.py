@@ -25,6 +25,7 @@ from kit.random_records import random_record
 from benchmarks.record_scenes import RecordScene, TruePart, scene
 from benchmarks.record_scores import table
 from modal_id import Identification, identify
+from tracker import Failure
 
 
 def own(seed: int) -> RecordScene:
@@ -49,7 +50,13 @@ def answer(name: str, seed: int) -> dict[str, Any]:
     """Identify one record with the default settings."""
     given = SETS[name](seed).series
     begun = time.process_time()
-    found = identify(given)
+    try:
+        found: Identification | Failure = identify(given)
+    except (ValueError, ArithmeticError, LookupError, AttributeError) as error:
+        found = Failure(f"{type(error).__name__}: {error}", given.name)
+        crashed = True
+    else:
+        crashed = False
     cpu_s = time.process_time() - begun
     line: dict[str, Any] = {
         "set": name,
@@ -59,7 +66,8 @@ def answer(name: str, seed: int) -> dict[str, Any]:
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
     }
     if not isinstance(found, Identification):
-        return line | {"kind": "refused", "reason": found.reason, "modes": [], "parts": []}
+        kind = "crashed" if crashed else "refused"
+        return line | {"kind": kind, "reason": found.reason, "modes": [], "parts": []}
     line["kind"] = "modes" if found.modes else "driven" if found.driven else "refused"
     line["reason"] = "; ".join(mode.reason for mode in found.failed)
     line["modes"] = [

@@ -17,6 +17,7 @@ from .record import Onset as Onset
 from .record import Segment as Segment
 from .results import AmplitudeCurve as AmplitudeCurve
 from .results import AmplitudeDependence as AmplitudeDependence
+from .results import DecayValue as DecayValue
 from .results import DisplacementSeries as DisplacementSeries
 from .results import DrivenMotion as DrivenMotion
 from .results import FailedMode as FailedMode

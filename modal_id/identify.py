@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,7 @@ _SHORT = (
     "and end_s to one free decay"
 )
 _STEADY = "The motion does not decay: it is driven."
+_HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
 _FAINT = "What decays here is faint beside the motion of the rest."
 
 
@@ -188,17 +190,15 @@ def _of_decays(
 ) -> Identification:
     """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
     loud = without_faint(decays)
-    faint = {one.onset.time_s for one in decays if all(one is not other for other in loud)}
-    segments = tuple(
-        replace(s, kind="disturbed", note=_FAINT) if s.kind == "decay" and s.start_s in faint else s
-        for s in segments
-    )
+    faint = [one for one in decays if all(one is not other for other in loud)]
+    segments = _said(segments, faint, _FAINT)
     decays = loud
     position = most_informative(decays)
     main = decays[position]
     if all(does_not_decay(one) for one in decays):
         return _driven(series, settings, used, main, segments)
-    found = combine_decays(assemble(series, settings, used, main), decays, position)
+    found, held = combine_decays(assemble(series, settings, used, main), decays, position)
+    segments = _said(segments, held, _HELD)
     # A damping ratio compatible with zero: a drive has changed and not stopped, or may have lasted until an abrupt end.
     need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
     ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
@@ -207,6 +207,15 @@ def _of_decays(
     if main.onset.source == "record start":
         found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))
     return replace(found, segments=segments)
+
+
+def _said(segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str) -> tuple[Segment, ...]:
+    """The segments, with those of the given decays as disturbed."""
+    starts = {one.onset.time_s for one in decays}
+    return tuple(
+        replace(s, kind="disturbed", note=note) if s.kind == "decay" and s.start_s in starts else s
+        for s in segments
+    )
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:

@@ -32,6 +32,8 @@ from .numbering import number_modes as number_modes
 from .numbering import rejected_modes as rejected_modes
 from .numbering import shape_disagreement as shape_disagreement
 from .residual_checks import residual_checks as residual_checks
+from .roles import held_decays as held_decays
+from .roles import held_odds as held_odds
 from .row_delay import readout_note as readout_note
 from .row_delay import row_delay as row_delay
 from .severities import severities as severities

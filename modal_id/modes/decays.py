@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from modal_id.data import FitData
 from modal_id.fit import ModalFit
 from modal_id.modes.combine import Combined, combine
+from modal_id.modes.roles import held_decays
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
@@ -114,33 +115,39 @@ def _damping_sd(model: ModalFit) -> float:
     return sd / abs(pole) * (1.0 if decays else TUNING.last_choice)
 
 
-def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
-    """Identification of the decay with index `main`, its modes combined with their values in the other decays.
+def combine_decays(
+    found: Identification, fitted: Sequence[FittedDecay], main: int
+) -> tuple[Identification, tuple[FittedDecay, ...]]:
+    """Identification of the decay with index `main`, its modes combined with their values in the other free decays.
 
     The combination is a random-effects mean, so that the scatter between decays (a clamp that settles, amplitudes that
     differ) is part of the standard deviations. Shapes, amplitudes, flags and the dependence on amplitude remain those
-    of the main decay.
+    of the main decay. Also returned are the decays that are held, which are not combined.
     """
-    if len(fitted) < 2:
-        return found
+    strongest = found.target or max(found.modes, key=lambda mode: mode.amplitude, default=None)
+    if len(fitted) < 2 or strongest is None:
+        return found, ()
+    values_of = {id(mode): _values_of(mode, fitted, main) for mode in found.modes}
+    held = held_decays(values_of[id(strongest)], main)
     modes, used = [], 0
     for mode in found.modes:
-        values = [_value_of(mode, fitted[main])]
-        others = (_same_mode(mode, one) for k, one in enumerate(fitted) if k != main)
-        values += [value for value in others if value is not None]
+        values = [one for k, one in enumerate(values_of[id(mode)]) if one is not None and k not in held]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
-    values_are = (
-        "the values are those of the most informative decay, since no other one shows its modes."
-        if used < 2
-        else f"the values of up to {used} of them that show the same mode are combined, and the scatter between them "
+    one_alone = "the values are those of the most informative decay, since no other free one shows its modes."
+    several = (
+        f"the values of up to {used} of them that show the same mode are combined, and the scatter between them "
         "is part of the standard deviations."
     )
     note = (
-        f"The record contains {len(fitted)} decays; {values_are} Figures show the decay from "
+        f"The record contains {len(fitted)} decays; {one_alone if used < 2 else several} Figures show the decay from "
         f"{found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
     )
-    return replace(found, modes=tuple(modes), notes=(*found.notes, note))
+    return replace(found, modes=tuple(modes), notes=(*found.notes, note)), tuple(fitted[k] for k in held)
+
+
+def _values_of(mode: IdentifiedMode, fitted: Sequence[FittedDecay], main: int) -> list[DecayValue | None]:
+    return [_value_of(mode, one) if k == main else _same_mode(mode, one) for k, one in enumerate(fitted)]
 
 
 def _value_of(mode: IdentifiedMode, one: FittedDecay) -> DecayValue:

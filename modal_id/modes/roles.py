@@ -1,0 +1,71 @@
+"""What the decays of one record are: free motion of the structure, or the same motion held by a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal_id.results import DecayValue
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A decay that is held."""
+
+    #: [1] probability, before it is seen, that a decay after another is held
+    held: float = 0.1
+    #: [1] sd of the logarithm of the damping ratio between free decays of one structure
+    between: float = 0.3
+    #: [1] least ratio by which a hand increases the damping ratio
+    least_ratio: float = 1.5
+    #: [1] largest ratio by which it does
+    #: physics: A free decay of 0.5 % that is held at half the critical damping.
+    most_ratio: float = 100.0
+
+
+TUNING = Tuning()
+
+
+def held_odds(free: DecayValue, other: DecayValue) -> float:
+    """Odds that a decay is held, where `free` is the record's most informative decay of the same mode.
+
+    Parameters
+    ----------
+    free, other : DecayValue
+        Values of one mode in both decays.
+
+    Returns
+    -------
+    float
+        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
+        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
+
+    Notes
+    -----
+    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter `between` of
+    clamps that settle; if one is held, it is uniform between the two ratios of the tuning.
+    """
+    if other.start_s < free.start_s or not other.amplitude < free.amplitude:
+        return 0.0
+    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
+        return 0.0
+    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
+    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
+    sd = float(np.linalg.norm([*own, TUNING.between]))
+    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+    low, high = np.log(TUNING.least_ratio), np.log(TUNING.most_ratio)
+    more = (1.0 if low < ratio < high else 0.0) / (high - low)
+    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
+    return float(odds) if np.isfinite(odds) else 0.0
+
+
+def held_decays(values: Sequence[DecayValue | None], main: int) -> tuple[int, ...]:
+    """Indices of the decays that are more probably held than free; `values` of the main decay's strongest mode."""
+    free = values[main]
+    if free is None:
+        return ()
+    return tuple(
+        k for k, one in enumerate(values) if one is not None and k != main and held_odds(free, one) > 1.0
+    )

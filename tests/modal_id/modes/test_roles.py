@@ -1,0 +1,68 @@
+"""A decay that goes on while it is held, beside decays of one structure that differ by chance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.series import QUICK, series_of
+
+from modal_id import DecayValue, IdentifySettings, identify
+from modal_id.modes import held_odds
+
+FPS, FREQUENCY_HZ, ZETA = 100.0, 6.0, 0.002
+FREE = DecayValue(0.0, FREQUENCY_HZ, 1e-3, ZETA, 2e-5, 1.0)
+
+
+def series(parts, seed=0, noise=2e-3):
+    """One motion through parts of (seconds, damping ratio, amplitude at its start or None where it goes on)."""
+    omega, amplitude, values = 2.0 * np.pi * FREQUENCY_HZ, 1.0, []
+    for seconds, zeta, start in parts:
+        amplitude = amplitude if start is None else start
+        size = amplitude * np.exp(-zeta * omega * np.arange(1, round(seconds * FPS) + 1) / FPS)
+        values.append(size)
+        amplitude = size[-1]
+    size = np.concatenate(values)
+    time_s = np.arange(size.size) / FPS
+    noise_px = noise * np.random.default_rng(seed).standard_normal(size.size)
+    return series_of(time_s, size * np.cos(omega * time_s + 0.4) + noise_px)
+
+
+@pytest.mark.parametrize("held", [0.05, pytest.param(0.03, marks=pytest.mark.slow)])
+def test_what_a_hand_holds_is_no_damping_of_the_structure(held):
+    """The interval is that of the 6 s before, 5 % wide, and does not reach to the ratio of the hand's part."""
+    found = identify(series([(6.0, ZETA, None), (4.0, held, None)]), IdentifySettings(sampler=QUICK))
+    target = found.target
+    assert abs(target.damping_ratio - ZETA) < 4.0 * target.damping_ratio_sd, target
+    assert target.damping_ratio_sd < 0.1 * ZETA, target
+    assert any(s.kind == "disturbed" and "Held" in s.note for s in found.segments), found.segments
+
+
+def test_decays_that_differ_as_those_of_a_clamp_do_are_combined():
+    """Three plucks, the last with 1.3 times the damping: its scatter is part of the interval."""
+    plucks = [(10.0, ZETA, 1.0), (10.0, ZETA, 0.9), (10.0, 1.3 * ZETA, 0.8)]
+    target = identify(series(plucks), IdentifySettings(sampler=QUICK)).target
+    assert len(target.decays) == 3
+    assert abs(target.damping_ratio - 1.3 * ZETA) < 4.0 * target.damping_ratio_sd, target
+
+
+@given(st.floats(1.0, 99.0), st.floats(1e-3, 0.3))
+def test_odds_grow_with_the_ratio_and_fall_with_its_uncertainty(ratio, relative_sd):
+    def odds(times, sd):
+        zeta = times * ZETA
+        return held_odds(
+            FREE, replace(FREE, start_s=1.0, amplitude=0.5, damping_ratio=zeta, damping_ratio_sd=sd * zeta)
+        )
+
+    assert odds(1.01 * ratio, relative_sd) >= odds(ratio, relative_sd)
+    # far out, doubt about the ratio speaks for equal ratios
+    assert odds(5.0, 1.0) < odds(5.0, relative_sd)
+
+
+@pytest.mark.parametrize("change", [{"start_s": -1.0}, {"amplitude": 1.0}, {"amplitude": float("nan")}])
+def test_an_earlier_or_larger_motion_is_not_held(change):
+    """Damping that grows with the amplitude does the same."""
+    other = replace(FREE, start_s=1.0, amplitude=0.5, damping_ratio=30.0 * ZETA, damping_ratio_sd=ZETA)
+    assert held_odds(FREE, other) > 1.0
+    assert held_odds(FREE, replace(other, **change)) == 0.0
