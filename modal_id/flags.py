@@ -16,9 +16,9 @@ class ModeFlag(Enum):
         "cannot be measured. Record the free decay after the drive stops."
     )
     MAY_BE_DRIVEN = (
-        "The motion may be driven: from the start of the record, its amplitude decreases by less than 40 % and less "
-        "than three sd. The damping ratio then means nothing. Record until the motion has decayed, or give onset_s "
-        "where it is known to be free."
+        "The motion may be driven: its amplitude decreases by less than 40 %, and the probability that it is a drive "
+        "exceeds 5 %. The damping ratio then means nothing. Record until the motion has decayed, or give onset_s where "
+        "it is known to be free."
     )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     ADDED = (

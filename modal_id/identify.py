@@ -27,10 +27,15 @@ from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.results import FittedMode, Identification, IdentifiedMode
 from modal_id.segments import (
-    STEADY_SD,
+    PRIOR,
+    PRIOR_AFTER_RISE,
     Decay,
     RecordParts,
     divide,
+    drive_probability,
+    is_driven,
+    is_rather_driven,
+    may_be_driven,
     no_onset,
     record_start,
     seen,
@@ -199,14 +204,22 @@ def _of_decays(
         return _driven(series, settings, used, main, segments)
     found, held = combine_decays(assemble(series, settings, used, main), decays, position)
     segments = _said(segments, held, _HELD)
-    # A damping ratio compatible with zero: a drive has changed and not stopped, or may have lasted until an abrupt end.
-    need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
-    ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
-    if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
+    driven = 0.0 if found.target is None else _drive_probability(found.target, main)
+    other = any(s.kind == "driven" or (s.kind != "decay" and s.start_s >= main.end_s) for s in segments)
+    if is_driven(driven) or (other and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
-    if main.onset.source == "record start":
+    if may_be_driven(driven):
         found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))
     return replace(found, segments=segments)
+
+
+def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
+    """Probability that the target mode of a decay is a drive: 0 where the user says that the motion is free."""
+    if one.onset.source == "user":
+        return 0.0
+    prior = PRIOR_AFTER_RISE if one.onset.source == "peak" else PRIOR
+    radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
+    return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 
 
 def _said(segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str) -> tuple[Segment, ...]:
@@ -219,12 +232,8 @@ def _said(segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: st
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
-    """A mode of a motion that nobody knows to be free, flagged where it hardly decays.
-
-    Where much of the amplitude would be lost at the upper end of the interval, that is wide enough for structures.
-    """
-    is_steady = mode.damping_ratio < STEADY_SD * mode.damping_ratio_sd
-    if not is_steady or ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
+    """A mode of a motion that nobody knows to be free, flagged where little of its amplitude is lost."""
+    if ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
         return mode
     flag = ModeFlag.MAY_BE_DRIVEN
     return replace(

@@ -1,9 +1,14 @@
 from .clicks import click_segments as click_segments
 from .clicks import without_clicks as without_clicks
-from .divide import DRIVEN_CHANGE as DRIVEN_CHANGE
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
+from .drive_odds import PRIOR as PRIOR
+from .drive_odds import PRIOR_AFTER_RISE as PRIOR_AFTER_RISE
+from .drive_odds import drive_probability as drive_probability
+from .drive_odds import is_driven as is_driven
+from .drive_odds import is_rather_driven as is_rather_driven
+from .drive_odds import may_be_driven as may_be_driven
 from .envelope import short_time as short_time
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset
@@ -18,7 +23,6 @@ from .narrate import whole_record as whole_record
 from .one_decay import may_be_two_decays as may_be_two_decays
 from .rest import rest_until as rest_until
 from .spikes import without_spikes as without_spikes
-from .steadiness import STEADY_SD as STEADY_SD
 from .steadiness import close_modes as close_modes
 from .steadiness import holds_a_decay as holds_a_decay
 from .steadiness import keeps_amplitude as keeps_amplitude

@@ -10,6 +10,7 @@ import numpy as np
 from modal_id.data import FitData
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import dominant_hz
+from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, PRIOR_BEFORE_CHANGE, is_rather_driven
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
@@ -23,7 +24,7 @@ from modal_id.segments.find_onset import (
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
-from modal_id.segments.steadiness import decays, is_steady, starts_to_decay
+from modal_id.segments.steadiness import decays, probability_of_drive, starts_to_decay
 from modal_id.segments.swing import without_swing
 from tracker import BoolArray, FloatArray
 
@@ -54,14 +55,9 @@ class Tuning:
     loud: float = 0.1
     #: [1] share of the median rate of fall below which driving is looked for
     slow_fall: float = 0.6
-    #: [1] largest change of the log amplitude in the latter half of driving without a decay after it
-    #: convention: A slow decay that a hand ends looks the same.
-    steady_change: float = 0.01
 
 
 TUNING = Tuning()
-
-DRIVEN_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -259,11 +255,12 @@ class _Division:
         last_s = float(np.max(seen, initial=piece.start_s))
         cycles = (last_s - piece.start_s) * self.frequency_hz
         tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
+        prior = PRIOR_AFTER_RISE if _rises(piece) else PRIOR
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         driven = (
             long
             and self._keeps_amplitude(piece)
-            and is_steady(tail, self.frequency_hz, self.lowest_hz, TUNING.steady_change)
+            and is_rather_driven(probability_of_drive(tail, self.frequency_hz, self.lowest_hz, prior))
         )
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
@@ -306,7 +303,9 @@ class _Division:
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         if few or late.time_s.size < TUNING.least_rows:
             return True
-        if not is_steady(late, self.frequency_hz, self.lowest_hz, DRIVEN_CHANGE):
+        if not is_rather_driven(
+            probability_of_drive(late, self.frequency_hz, self.lowest_hz, PRIOR_BEFORE_CHANGE)
+        ):
             return False
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from modal_id.data import FitData
 from modal_id.fit import ModalFit, find_modes
+from modal_id.segments.drive_odds import PRIOR_BEFORE_CHANGE, drive_probability, is_rather_driven
 from modal_id.solve import PoleFit, Problem, fit_poles, frequency_hz
 from tracker import BoolArray
 
@@ -20,10 +21,6 @@ class Tuning:
     modes: int = 4
     #: [1] relative distance from the frequency looked for within which a line is the dominant one
     same_line: float = 0.05
-    #: [1] sd of the change of the log amplitude above which steadiness cannot be judged
-    steady_known: float = 0.1
-    #: [1] change of the log amplitude that is steady whatever its sd
-    steady_change: float = 0.02
     #: [1] amplitude over the strongest from which a line must be steady
     strong: float = 0.2
     #: [1] fall of the log amplitude from which it decays
@@ -40,19 +37,17 @@ class Tuning:
 
 TUNING = Tuning()
 
-# The logarithm of the amplitude of a steady motion changes by less than this many standard deviations, where these
-# are below the second number; or by less than the limit that the caller sets.
-STEADY_SD = 3.0
+# Standard deviations of a rate beyond which a line decays.
+_DECAY_SD = 3.0
 
 
-def is_steady(data: FitData, line_hz: float, lowest_hz: float, most_change: float) -> bool:
-    """Whether growth and decay of the line at this frequency are negligible, as for a driven motion.
+def probability_of_drive(data: FitData, line_hz: float, lowest_hz: float, prior: float) -> float:
+    """Probability that the line at this frequency is driven, from the change of its amplitude over the data.
 
-    The logarithm of its amplitude changes by less than `most_change` over the data, or by less than its standard
-    deviation explains. All modes are fitted, because the residual of a weaker mode would hide a slow decay.
+    All modes are fitted, because the residual of a weaker mode would hide a slow decay. 0 where the fit fails.
     """
     data, fit, index = _line(data, line_hz, lowest_hz)
-    return fit.converged and _is_constant(data, fit, index, most_change)
+    return _probability(data, fit, index, prior) if fit.converged else 0.0
 
 
 def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -61,7 +56,7 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
     centred = data.values - np.mean(data.values, axis=0)
     left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
-    return fit.converged and -float(fit.poles[index].real) > STEADY_SD * sd and left < TUNING.most_left
+    return fit.converged and -float(fit.poles[index].real) > _DECAY_SD * sd and left < TUNING.most_left
 
 
 def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -75,7 +70,7 @@ def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: 
         if not fit.converged:
             return False
         sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
-        rates.append((-float(fit.poles[index].real), STEADY_SD * sd))
+        rates.append((-float(fit.poles[index].real), _DECAY_SD * sd))
     (early, early_reach), (late, late_reach) = rates
     return TUNING.starts * (abs(early) + early_reach) < late - late_reach
 
@@ -93,8 +88,8 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
 
 
 def keeps_amplitude(model: ModalFit) -> bool:
-    """Whether the strongest mode of a fit neither grows nor decays significantly."""
-    return _is_constant(model.data, model.fit, model.strongest, TUNING.steady_change)
+    """Whether the strongest mode of a fit, before another motion, is rather driven than free."""
+    return is_rather_driven(_probability(model.data, model.fit, model.strongest, PRIOR_BEFORE_CHANGE))
 
 
 def close_modes(model: ModalFit) -> BoolArray:
@@ -113,17 +108,17 @@ def holds_a_decay(model: ModalFit) -> bool:
     alone = np.count_nonzero(close_modes(model), axis=1) == 1
     for index in np.flatnonzero(alone & (strength > TUNING.strong * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
-        if rate * model.data.span_s > TUNING.decayed and rate > STEADY_SD * sd * _noise_factor(
+        if rate * model.data.span_s > TUNING.decayed and rate > _DECAY_SD * sd * _noise_factor(
             model.data, fit, index
         ):
             return True
     return False
 
 
-def _is_constant(data: FitData, fit: PoleFit, index: int, most_change: float) -> bool:
-    change = abs(float(fit.poles[index].real)) * data.span_s
-    sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index) * data.span_s
-    return change < most_change or (change < STEADY_SD * sd and sd < TUNING.steady_known)
+def _probability(data: FitData, fit: PoleFit, index: int, prior: float) -> float:
+    pole, span_s = complex(fit.poles[index]), data.span_s
+    sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
+    return drive_probability(-pole.real * span_s, sd * span_s, abs(pole) * span_s, prior)
 
 
 def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:

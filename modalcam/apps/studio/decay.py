@@ -20,7 +20,6 @@ from modal_id import (
     identify_free_decay,
 )
 from modal_id.fit import nyquist_hz
-from modal_id.segments import DRIVEN_CHANGE
 from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
@@ -179,7 +178,9 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
     """
     length_s = decay.span_s[1] - decay.span_s[0]
     slow = [
-        m for m in decay.modes if 2.0 * np.pi * m.frequency_hz * m.damping_ratio * length_s < DRIVEN_CHANGE
+        m
+        for m in decay.modes
+        if 2.0 * np.pi * m.frequency_hz * m.damping_ratio * length_s < TUNING.hardly_decays
     ]
     nan = float("nan")
     modes = tuple(
@@ -256,6 +257,8 @@ class Tuning:
     #: [sd] a smaller amplitude is noise
     #: statistics: A normal error exceeds it in 6e-7 of cases.
     significance: float = 5.0
+    #: [1] fall of the log amplitude up to which a motion passes for a drive
+    hardly_decays: float = 0.1
 
 
 TUNING = Tuning()

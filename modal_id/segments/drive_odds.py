@@ -1,0 +1,87 @@
+"""Whether a motion is driven: the posterior probability from the change of its amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, voigt_profile
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Odds of a drive."""
+
+    #: [1] probability of a drive of a steady motion, where nothing else is known
+    prior: float = 0.5
+    #: [1] the same after the amplitude rose abruptly: a pluck, or a drive that starts
+    after_rise: float = 0.02
+    #: [1] the same before the motion changes: a drive stops, or a hand does
+    before_change: float = 0.8
+    #: [1] half width at half maximum of the change of the logarithm of a drive's amplitude
+    drive_change: float = 0.005
+    #: [1] sd of the change of the log amplitude above which it tells nothing of a drive
+    known: float = 0.1
+    #: [1] smallest damping ratio of a structure
+    #: physics: That of metals.
+    least_damping: float = 1e-4
+    #: [1] largest damping ratio of a motion that oscillates
+    most_damping: float = 0.5
+    #: [1] probability from which a motion without further evidence is called driven
+    #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
+    sure: float = 0.95
+
+
+TUNING = Tuning()
+
+# Probabilities of a drive before the change of its amplitude is seen.
+PRIOR, PRIOR_AFTER_RISE, PRIOR_BEFORE_CHANGE = TUNING.prior, TUNING.after_rise, TUNING.before_change
+
+
+def drive_probability(change: float, sd: float, radians: float, prior: float = PRIOR) -> float:
+    """Posterior probability that a steady motion is driven.
+
+    Parameters
+    ----------
+    change : float
+        Logarithm of the amplitude at its start over that at its end: positive for a decay.
+    sd : float
+        Standard deviation of `change`.
+    radians : float
+        Phase through which the motion turns.
+    prior : float
+        Probability of a drive before its amplitude is seen.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; 0.5 where the change is hardly known, or a value is not finite.
+
+    Notes
+    -----
+    The change is normal with its standard deviation about 0 for a drive, whose own change has a Cauchy distribution,
+    and about ``zeta radians`` for a decay, with the logarithm of zeta uniform between the damping ratios of structures.
+    """
+    if not np.all(np.isfinite([change, sd, radians])) or not 0.0 < sd < TUNING.known or radians <= 0.0:
+        return 0.5
+    driven = float(voigt_profile(change, sd, TUNING.drive_change))
+    edges = np.geomspace(TUNING.least_damping, TUNING.most_damping, 400) * radians
+    # exact for a density that is constant in each cell, however narrow the normal density is
+    mass = np.diff(ndtr((edges - change) / sd)) / np.diff(edges) * np.diff(np.log(edges))
+    free = float(np.sum(mass)) / float(np.log(TUNING.most_damping / TUNING.least_damping))
+    return prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
+
+
+def is_rather_driven(probability: float) -> bool:
+    """Whether a drive is the better explanation of a motion."""
+    return probability > 0.5
+
+
+def is_driven(probability: float) -> bool:
+    """Whether a motion with this probability is driven beyond doubt."""
+    return probability > TUNING.sure
+
+
+def may_be_driven(probability: float) -> bool:
+    """Whether a motion with this probability is not free beyond doubt."""
+    return probability > 1.0 - TUNING.sure
