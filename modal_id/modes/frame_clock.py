@@ -8,6 +8,7 @@ second frame was left out), the frames are evenly spaced.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -141,6 +142,11 @@ class DecayRecord:
         """Frames from the first to the last."""
         return int(self.rows[-1]) + 1
 
+    @cached_property
+    def values_without_slow(self) -> FloatArray:
+        """Values less their least squares of the slow motion, shape (n, r)."""
+        return np.asarray(self.values - self.slow @ (self.slow.T @ self.values))
+
     @property
     def all_modes(self) -> BoolArray:
         """Mask of every mode; shape (m,)."""
@@ -229,16 +235,21 @@ class DecayRecord:
         envelopes = [waves[:, self.strongest, None] * time ** np.array(_ENVELOPE)]
         envelopes += [waves[:, others] * time**power for power in _OTHER_ENVELOPES]
         envelopes += [] if double is None else [double[:, None]]
-        columns, values = real_columns(np.concatenate(envelopes, axis=1)), self.values
+        columns, values = real_columns(np.concatenate(envelopes, axis=1)), self.values_without_slow
         # Least squares of the slow motion, also where the rows do not count the same.
-        columns, values = (part - self.slow @ (self.slow.T @ part) for part in (columns, values))
-        if variance is not None:
-            columns, values = columns / np.sqrt(variance)[:, None], values / np.sqrt(variance)[:, None]
-        gram = columns.T @ columns
+        mixed = self.slow.T @ columns
+        if variance is None:
+            gram = columns.T @ columns - mixed.T @ mixed
+        else:
+            columns = (columns - self.slow @ mixed) / np.sqrt(variance)[:, None]
+            values = values / np.sqrt(variance)[:, None]
+            gram = columns.T @ columns
         scale = 1.0 / np.sqrt(np.diag(gram) + 1e-300)
         gram = gram * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
         amplitudes = scale[:, None] * np.linalg.solve(gram, scale[:, None] * (columns.T @ values))
         residual = values - columns @ amplitudes
+        if variance is None:
+            residual += self.slow @ (mixed @ amplitudes)
         edges = np.linspace(0, self.rows.size, TUNING.stretches + 1).astype(np.intp)
         counts = np.diff(edges)
         power = np.add.reduceat(residual**2, edges[:-1], axis=0) / counts[:, None]
