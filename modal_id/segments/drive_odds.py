@@ -23,8 +23,8 @@ class Tuning:
     #: [1] sd of the change of the log amplitude above which it tells nothing of a drive
     known: float = 0.1
     #: [1] smallest damping ratio of a structure
-    #: physics: That of metals.
-    least_damping: float = 1e-4
+    #: physics: That of the least damped metals.
+    least_damping: float = 1e-5
     #: [1] largest damping ratio of a motion that oscillates
     most_damping: float = 0.5
     #: [1] probability from which a motion without further evidence is called driven

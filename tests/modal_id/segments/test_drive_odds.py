@@ -10,7 +10,7 @@ from scipy.stats import cauchy, norm
 from modal_id.segments import drive_probability, is_driven, may_be_driven
 
 # Widths and limits that the description of the function states.
-DRIVE_CHANGE, LEAST, MOST = 0.005, 1e-4, 0.5
+DRIVE_CHANGE, LEAST, MOST = 0.005, 1e-5, 0.5
 
 
 def by_quadrature(change, sd, radians, prior):
@@ -35,14 +35,14 @@ def by_quadrature(change, sd, radians, prior):
 )
 def test_it_is_bayes_theorem(change, sd, radians, prior):
     expected = by_quadrature(change, sd, radians, prior)
-    # cells of ln zeta of 2 % hold a narrow density to 1 %
+    # cells of ln zeta of 3 % hold a narrow density to 1 %
     assert drive_probability(change, sd, radians, prior) == pytest.approx(expected, abs=0.01)
 
 
 def test_what_is_lost_precisely_is_a_decay_and_what_is_kept_a_drive():
     assert not may_be_driven(drive_probability(0.4, 0.002, 60.0))
     assert is_driven(drive_probability(0.0, 0.002, 560.0)), (
-        "the least damping of a structure would show 28 sd"
+        "the least damping of a structure would show 3 sd"
     )
     undecided = drive_probability(0.0, 0.05, 60.0)
     assert may_be_driven(undecided)
