@@ -32,8 +32,9 @@ class AddedStage:
     stage : Stage
         Its `function` runs in a worker process.
     beside : {"updating", "simulating"}
-        The stage of the core that it runs beside. A result beside "simulating" is dropped where the comparison of its
-        recording fails.
+        The stage of the core that it runs beside. One beside "updating" runs in every run, with or without a beam; one
+        beside "simulating" needs the updated beam, and its result is dropped where the comparison of its recording
+        fails.
     inputs : callable
         From the context of the run, a recording and the updated beam, which is None beside "updating": the arguments of
         the stage's function, or None where the recording has no result. Called in the main process.

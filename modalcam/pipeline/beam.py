@@ -154,11 +154,18 @@ def update_beam(
 ) -> tuple[BeamResult | None, tuple[str, ...], list[RecordingResult]]:
     """Match the beam to all measured modes; returns the recordings last, with the results of stages added beside.
 
-    Sentences name what could not be done, the theory of the beam included; without it no added stage runs.
+    Sentences name what could not be done, the theory of the beam included. Added stages run without it too.
     """
     recordings = list(recordings)
+    added = [
+        (
+            one.stage,
+            {r.name: given for r in recordings if (given := one.inputs(context, r, None)) is not None},
+        )
+        for one in added_stages("updating")
+    ]
     if isinstance(theory_modes, str):
-        return None, (theory_modes,), recordings
+        return None, (theory_modes,), _with_added(recordings, added, run_together(context, *added))
     properties, settings = theory_modes.beam.properties, updating_settings(context.config.updating)
     usable = usable_modes(measured_modes(recordings), theory_modes)
     methods: dict[str, dict[str, Any]] = {}
@@ -171,16 +178,8 @@ def update_beam(
             "seed": context.seed,
         }
         methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
-    added = [
-        (
-            one.stage,
-            {r.name: given for r in recordings if (given := one.inputs(context, r, None)) is not None},
-        )
-        for one in added_stages("updating")
-    ]
     found, *others = run_together(context, (UPDATES, methods), *added)
-    for (stage, _), results in zip(added, others, strict=True):
-        recordings = stage.filled(recordings, results)
+    recordings = _with_added(recordings, added, others)
     result = UPDATING.once(
         context,
         properties=properties,
@@ -192,3 +191,13 @@ def update_beam(
     if isinstance(result, Failure):
         return None, (f"The beam was not updated: {result.reason}.",), recordings
     return result, (result.note,) if result.note else (), recordings
+
+
+def _with_added(
+    recordings: list[RecordingResult],
+    added: list[tuple[Stage[Any], dict[str, Any]]],
+    found: list[dict[str, Any]],
+) -> list[RecordingResult]:
+    for (stage, _), results in zip(added, found, strict=True):
+        recordings = stage.filled(recordings, results)
+    return recordings

@@ -16,6 +16,7 @@ from modalcam.pipeline.beam import damping_candidates, generic_damping, measured
 from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, each_together
+from modalcam.plugins import OUR_PACKAGES
 from sim.beam import BeamProperties
 from sim.comparison import (
     AirDrag,
@@ -70,10 +71,15 @@ def compare_recordings(
 ) -> tuple[list[RecordingResult], tuple[str, ...]]:
     """Compare each identified recording with simulations of the updated beam; added stages run beside.
 
-    Sentences name skipped models.
+    Sentences name skipped models and, without an updated beam, skipped stages of plugins.
     """
+    added = added_stages("simulating")
     if beam is None or beam.updated is None:
-        return list(recordings), ()
+        # The note on the beam tells of our own stages.
+        others = [
+            one.stage for one in added if one.stage.function.__module__.split(".")[0] not in OUR_PACKAGES
+        ]
+        return list(recordings), tuple(f"Without an updated beam, {s.name} was skipped." for s in others)
     properties, draws = beam.updated.properties, beam.updated.bayesian
     measured = measured_damping(measured_modes(recordings), beam.standard_modes)
     common = {
@@ -89,7 +95,6 @@ def compare_recordings(
         return {"identification": found, **common} if found is not None and found.modes else None
 
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
-    added = added_stages("simulating")
     parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]
     found = each_together(context, recordings, (COMPARING, compared), *parts)
     dropped = {one.stage.file for one in added}

@@ -62,8 +62,12 @@ def film_simulated(
 def _frames_to_keep(
     context: Context, recording: RecordingResult, _: UpdatedBeam | None
 ) -> Mapping[str, Any] | None:
+    from modalcam.config import beam_properties  # noqa: PLC0415
     from tracker import MarkerTracks  # noqa: PLC0415
 
+    # the frames are shown beside the simulated beam only
+    if isinstance(beam_properties(context.config.beam), str):
+        return None
     tracks, found = recording.tracks, recording.identified
     if recording.path is None or found is None or not found.modes or not isinstance(tracks, MarkerTracks):
         return None

@@ -1,6 +1,7 @@
 """A stage computes results with changed inputs and reuses others; a failed task gives a falsy result."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from support.worker_tasks import Inline, counted
@@ -9,6 +10,7 @@ from modalcam import plugins
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import (
     RUN,
+    AddedStage,
     Context,
     InputFile,
     Limits,
@@ -18,7 +20,10 @@ from modalcam.pipeline import (
     Stage,
     WorkerPool,
     Workspace,
+    compare_recordings,
+    register_stage,
     run_together,
+    update_beam,
     worker_pool,
 )
 from sim import paper_beam
@@ -112,6 +117,22 @@ def test_stages_that_run_together_are_shown_one_after_the_other(context, tmp_pat
     context.progress.calls.clear()
     assert run_together(backwards, *parts) == expected
     assert {outcome for name, outcome in context.progress.calls if name in "ab"} == {"reused"}
+
+
+def test_stages_of_plugins_run_without_a_beam_or_say_that_they_did_not(context, monkeypatch):
+    monkeypatch.setattr("modalcam.pipeline.added.ADDED_STAGES", {})
+    given = {"recording": InputFile(Path("a.avi"), "00"), "factor": 2.0}
+    for name, file, beside in (("weighing", "weighed", "updating"), ("loading", "loaded", "simulating")):
+        register_stage(AddedStage(replace(SCALING, name=name, file=file), beside, lambda *_: given))
+    take = RecordingResult("a", "a.avi", "00", None)
+    beam, notes, (measured,) = update_beam(context, [take], "There is no [beam].")
+    assert beam is None
+    assert notes == ("There is no [beam].",)
+    assert measured.added == {"weighed": ("a.avi", 2.0)}
+    assert set(context.results["a"]) == {"weighed"}
+    recordings, skipped = compare_recordings(context, [measured], beam)
+    assert recordings == [measured]
+    assert skipped == ("Without an updated beam, loading was skipped.",)
 
 
 class Noticing(Listener):
