@@ -16,7 +16,8 @@ from sim.comparison import COMPARISON_COLUMNS
 from sim.updating import UPDATING_COLUMNS
 from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
 
-_MODE = COMPARISON_COLUMNS[1]
+_NAMED = {one.name: one for one in (*COMPARISON_COLUMNS, *DAMPING)}
+_MODE = _NAMED["mode"]
 _RECORDING = Column("recording", "", "name of the recording")
 # Of a `ShapePoint`.
 SHAPE_COLUMNS = (
@@ -37,8 +38,8 @@ DRAG_COLUMNS = (
     Column("drag_coefficient_sd", "1", "its standard deviation; 0 for a given coefficient"),
     Column("drag_coefficient_q05", "1", "5 % quantile"),
     Column("drag_coefficient_q95", "1", "95 % quantile; the upper limit where no drag was detected"),
-    replace(DAMPING[0], text="damping ratio at small amplitude"),
-    DAMPING[1],
+    replace(_NAMED["damping_ratio"], text="damping ratio at small amplitude"),
+    _NAMED["damping_ratio_sd"],
 )
 TABLES: Mapping[str, tuple[Column, ...]] = {
     "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),

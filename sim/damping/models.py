@@ -246,6 +246,11 @@ class WithAirDrag(DampingModel):
         """That of the other model."""
         return self.model.least_beam_modes
 
+    @property
+    def caution(self) -> str:
+        """That of the other model."""
+        return self.model.caution
+
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """Those of the other model, with the air."""
         return replace(self.model.coefficients(modes), air=self.air)

@@ -3,12 +3,15 @@
 import builtins
 import importlib.util
 import json
+import runpy
 
 import pytest
 from kit.identified import identification_of
 from kit.runs import beam_result, compared, paper_recordings, run_result
 from support.paths import ROOT
 
+import modal_id
+import sim.comparison
 from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
 from modalcam.inputs import read_uff
@@ -64,6 +67,16 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
     }
     assert names == expected | {"posterior/take.nc", "universal/take.uff"}
     assert len(json.loads((tmp_path / "summary.json").read_text())["recordings"]) == 1
+
+
+def test_columns_of_other_tables_are_found_by_their_names(monkeypatch):
+    """A column that is put before another must not take its place in the tables that share it."""
+    tables = runpy.run_path(str(ROOT / "modalcam/tables/columns.py"))["TABLES"]
+    monkeypatch.setattr("sim.comparison.COMPARISON_COLUMNS", sim.comparison.COMPARISON_COLUMNS[::-1])
+    monkeypatch.setattr("modal_id.DAMPING", modal_id.DAMPING[::-1])
+    turned = runpy.run_path(str(ROOT / "modalcam/tables/columns.py"))["TABLES"]
+    for table in ("shapes.csv", "summary.json, drag"):
+        assert [(c.name, c.text) for c in turned[table]] == [(c.name, c.text) for c in tables[table]]
 
 
 def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):

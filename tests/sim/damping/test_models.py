@@ -3,7 +3,7 @@ import pytest
 
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.beam import AncfBeam, beam_modes
-from sim.damping import GenericDamping, NoDamping, RayleighDamping
+from sim.damping import GenericDamping, NoDamping, RayleighDamping, WithAirDrag
 
 OMEGA = 2.0 * np.pi * np.array(MEASURED_FREQUENCY_HZ)
 
@@ -20,6 +20,12 @@ def test_rayleigh_of_table_2_eq_4():
     ratio = model.damping_ratio(OMEGA)
     np.testing.assert_allclose(ratio[:2], MEASURED_DAMPING_RATIO[:2], rtol=1e-12)
     np.testing.assert_allclose(100 * ratio[2:], [0.336, 0.566, 0.906], atol=5e-4)
+
+
+def test_air_drag_keeps_the_caution_of_its_model():
+    model = RayleighDamping(1.0, -1e-5)
+    assert "beta is negative" in WithAirDrag(model).caution
+    assert WithAirDrag(RayleighDamping(1.0, 1e-5)).caution == ""
 
 
 def test_rayleigh_needs_two_different_modes():
