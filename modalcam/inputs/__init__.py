@@ -1,4 +1,4 @@
-"""What a folder holds: recordings and displacement series."""
+"""From a folder: its recordings; from one file, for `identify`: a series."""
 
 import lazy_loader
 

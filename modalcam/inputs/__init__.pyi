@@ -14,5 +14,5 @@ from .series import tracks_from_table as tracks_from_table
 from .table import MAX_BYTES as MAX_BYTES
 from .table import Table as Table
 from .table import read_table as read_table
-from .uff import ENDINGS as ENDINGS
+from .table_readers import register_table_reader as register_table_reader
 from .uff import read_uff as read_uff

@@ -11,7 +11,8 @@ from modalcam.common import InputError, shown
 from modalcam.config import RecordingConfig
 from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table
 from modalcam.inputs.table import Table, read_table
-from modalcam.inputs.uff import ENDINGS, read_uff
+from modalcam.inputs.table_readers import UFF_ENDINGS
+from modalcam.inputs.uff import read_uff
 from modalcam.pipeline import Limits, TaskFailure, worker_pool
 
 
@@ -24,7 +25,7 @@ def motion_of(
     """
     positions_mm = given.positions_mm
     motion: dict[str, Any] = {}
-    if path.suffix.lower() in ENDINGS:
+    if path.suffix.lower() in UFF_ENDINGS:
         if rate_hz is not None:
             msg = f"{shown(str(path))}: a universal file holds its times; --rate is for tables without times"
             raise InputError(msg)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from modalcam.common import InputError, readable_bytes, shown
-from modalcam.inputs.array_files import LONGER_AXIS, read_mat, read_npy
-from modalcam.inputs.text_table import read_lvm, read_text
+from modalcam.inputs.array_files import LONGER_AXIS
+from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
+from modalcam.inputs.text_table import read_text
 
 MAX_BYTES = 2_000_000_000
 TIME = "time_s"
@@ -25,12 +25,6 @@ _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)
 # Steps of a column without a name that holds times: rounded to the digits written, they differ by less.
 _EVEN = 0.5
 
-_READERS: dict[str, Callable[[Path], tuple[pd.DataFrame, list[str]]]] = {
-    ".npy": read_npy,
-    ".mat": read_mat,
-    ".lvm": read_lvm,
-}
-
 
 @dataclass(frozen=True)
 class Table:
@@ -42,6 +36,8 @@ class Table:
 
 def read_table(path: Path, rate_hz: float | None = None) -> Table:
     """Columns of a text table (CSV, TSV, ...), LabVIEW measurement (.lvm), NumPy array (.npy) or MATLAB file (.mat).
+
+    A plugin adds others by `register_table_reader`.
 
     Parameters
     ----------
@@ -62,10 +58,17 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     readable_bytes(path, MAX_BYTES)
     where = shown(str(path))
     try:
-        columns, notes = _upright(*_READERS.get(path.suffix.lower(), read_text)(path))
+        columns, notes = _upright(*TABLE_READERS.get(path.suffix.lower(), read_text)(path))
         return _with_times(columns, notes, rate_hz, where)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
+        raise InputError(msg) from error
+    except UnicodeDecodeError as error:
+        endings = ", ".join((*TABLE_READERS, *UFF_ENDINGS))
+        msg = (
+            f"{where}: expected text in UTF-8, or a file ending in one of {endings}; found other bytes. Export the "
+            "series as CSV in UTF-8, or register a reader of this ending in a plugin (register_table_reader)"
+        )
         raise InputError(msg) from error
     except (ValueError, pd.errors.ParserError) as error:
         msg = f"{where}: expected a table of numbers with a header row, found: {error}"

@@ -12,7 +12,6 @@ from modalcam.inputs.series import TUNING, channel_positions, check_size, check_
 from modalcam.inputs.table import MAX_BYTES
 from tracker import DisplacementSeries, FloatArray
 
-ENDINGS = (".uff", ".unv", ".u58", ".uf")
 _TIME_RESPONSE, _UNKNOWN_FUNCTION = 1, 0
 _TIME_AXIS = 17
 _KINDS = {8: "displacement", 11: "velocity", 12: "acceleration"}

@@ -3,11 +3,12 @@
 import tracemalloc
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
 from modalcam.common import InputError
-from modalcam.inputs import read_table, series_from_table
+from modalcam.inputs import read_table, register_table_reader, series_from_table
 
 TIME_S = np.arange(40) / 250.0
 MOTION = np.round(np.random.default_rng(4).standard_normal((40, 2)), 6)
@@ -159,6 +160,22 @@ def test_settings_of_a_labview_measurement_without_values_are_those_of_a_usual_o
     np.testing.assert_array_equal(read_table(tmp_path / "a.lvm").columns.to_numpy()[:, 1:], MOTION)
 
 
+def test_a_reader_is_registered_once_for_an_ending(monkeypatch, tmp_path):
+    monkeypatch.setattr("modalcam.inputs.table_readers.TABLE_READERS", readers := {})
+    monkeypatch.setattr("modalcam.inputs.table.TABLE_READERS", readers)
+
+    def read(path):
+        return pd.read_csv(path), [path.name]
+
+    for _ in range(2):
+        register_table_reader(".log", read)
+    (tmp_path / "a.LOG").write_text("time_s,a\n0,1\n")
+    assert read_table(tmp_path / "a.LOG").notes == ("a.LOG",)
+    for taken in (".log", ".uff"):
+        with pytest.raises(ValueError, match="have a reader already"):
+            register_table_reader(taken, pd.read_csv)
+
+
 def npy_header(expression):
     """A NumPy array with any header, which NumPy parses as an expression in Python."""
     return b"\x93NUMPY\x01\x00" + len(expression).to_bytes(2, "little") + expression.encode()
@@ -193,6 +210,13 @@ def npy_header(expression):
         ("a.lvm", lvm(times=True).replace("X_Value\ta\tb", "\t\t").encode(), None, "no row of numbers"),
         ("a.lvm", lvm(times=True).replace("\tTab", ",Comma").replace("\t", ",").encode(), None, "with tabs"),
         ("a.lvm", lvm(times=True).replace("0,016000", "0,0x6").encode(), None, "Unable to parse string"),
+        (
+            "a.npz",
+            b"PK\x03\x04\x80\xa6\xff",
+            None,
+            r"one of \.npy, .*\.uff.* Export the series as CSV in UTF-8",
+        ),
+        ("a.csv", "time_s,a µm\n0,1\n".encode("latin-1"), None, "expected text in UTF-8"),
         ("a.csv", b"time_s,a\n" + rows(",").encode(), None, "more cells than the header"),
     ],
 )

@@ -1,0 +1,23 @@
+"""Registry of formats of tables, each by the ending of its files; a file with any other ending is read as text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+
+from modalcam.inputs.array_files import read_mat, read_npy
+from modalcam.inputs.text_table import read_lvm
+
+UFF_ENDINGS = (".uff", ".unv", ".u58", ".uf")
+# From the path: columns by name, and sentences on what was taken for what; ValueError for other content.
+TableReader = Callable[[Path], tuple[pd.DataFrame, list[str]]]
+TABLE_READERS: dict[str, TableReader] = {".npy": read_npy, ".mat": read_mat, ".lvm": read_lvm}
+
+
+def register_table_reader(suffix: str, read: TableReader) -> None:
+    """Read files of `identify` with this ending, in lower case, by `read`; ValueError if the ending is taken."""
+    if suffix in UFF_ENDINGS or TABLE_READERS.setdefault(suffix, read) is not read:
+        msg = f"files ending in {suffix!r} have a reader already; choose another ending"
+        raise ValueError(msg)
