@@ -1,6 +1,6 @@
 """Plugins: modules that add to a registry when they are imported.
 
-A plugin is a Python module that registers what it brings (a damping model, a kind of marker, a writer...) at import. It
+A plugin is a Python module that registers what it brings (docs/extending.md) at import. It
 is loaded when its distribution declares an entry point of the group "modalcam.plugins", or when it is named:
 ``modalcam run --plugin MODULE``. The process that runs a command and every worker process load the same plugins before
 the first task, and the names and source of all plugins are part of what every saved result is checked against.

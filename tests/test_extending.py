@@ -11,6 +11,7 @@ from kit.films import EXPERIMENT, FPS, FRAMES, HEIGHT, WIDTH, decay_px
 from pydantic import ValidationError, create_model
 from support.paths import ROOT
 
+from modalcam import load_run
 from modalcam.config import BeamConfig, ExperimentConfig, commented_toml, markdown
 
 PLUGINS = ("squares", "mean_ratio", "npy_reader", "frequencies", "path_figure", "brightness")
@@ -67,7 +68,7 @@ def write_clip(path):
 
 def test_every_example_is_covered():
     modules = {name.split("/")[0].removesuffix(".py") for name in examples()}
-    assert modules == {*PLUGINS, "longest", "option", "threshold"}
+    assert modules == {*PLUGINS, "npz_series", "longest", "option", "threshold"}
 
 
 @pytest.mark.timeout(900)
@@ -88,6 +89,18 @@ def test_all_plugins_reach_the_report(tmp_path, plugins):
     assert grey == pytest.approx(first.mean(), rel=5e-3), "printed with three digits"
     (frequency, *_) = (out / "frequencies.txt").read_text(encoding="utf-8").splitlines()
     assert float(frequency.removesuffix(" Hz")) == pytest.approx(10.2, abs=0.01)
+
+
+def test_a_series_is_read_in_the_format_of_a_plugin(tmp_path, plugins):
+    time_s = np.arange(600) / 300.0
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, time_s.size)
+    decay = np.exp(-time_s) * np.cos(2 * np.pi * 10.2 * time_s)
+    np.savez(tmp_path / "take.npz", time_s=time_s, displacement_mm=decay + noise)
+    out = tmp_path / "out"
+    run(plugins, "identify", tmp_path / "take.npz", "-o", out, "--unit", "mm", "--plugin", "npz_series")
+    (mode,) = (load_run(out).recordings)[0].identification.modes
+    assert mode.frequency_hz == pytest.approx(10.2, abs=0.01)
+    assert "The series is read from a NumPy archive." in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_command_of_a_plugin_reads_the_results(plugins, decay_run):

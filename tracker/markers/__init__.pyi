@@ -19,12 +19,17 @@ from .assignment import leaving_out as leaving_out
 from .assignment import order_along_beam as order_along_beam
 from .dots import DOT as DOT
 from .dots import DotDetector as DotDetector
+from .dots import DotKind as DotKind
+from .kind import Artwork as Artwork
+from .kind import Candidates as Candidates
 from .kind import Detection as Detection
+from .kind import DetectionSettings as DetectionSettings
 from .kind import FoundMarkers as FoundMarkers
 from .kind import FrameFollower as FrameFollower
 from .kind import FrameResult as FrameResult
 from .kind import IdealFit as IdealFit
 from .kind import JointCalibration as JointCalibration
+from .kind import JointMarkers as JointMarkers
 from .kind import MarkerDetector as MarkerDetector
 from .kind import MarkerKind as MarkerKind
 from .kind import NothingFound as NothingFound
