@@ -70,7 +70,7 @@ _MEMORY = typer.Option(
 _PLUGIN = typer.Option(
     "--plugin",
     metavar="MODULE",
-    help="Module that adds markers, readers, formats, damping laws, figures, sections, stages; may be repeated.",
+    help="Adds markers, readers, formats, damping laws, figures, sections, stages; may be repeated.",
 )
 
 _INCLUDE = typer.Option(
