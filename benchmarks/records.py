@@ -3,8 +3,7 @@
 Each line is one record: what was listed, the parts of the record, flags, a reason where there is no mode, CPU time and
 peak memory. ``--compare BEFORE.jsonl AFTER.jsonl`` prints the table of `docs/studies/records.md`.
 
-Two sets: ``own`` (`tests/kit/random_records.py`: as people make them; needs ``PYTHONPATH=tests``) and ``parts``
-(`benchmarks/record_scenes.py`).
+Two sets: ``own`` (`benchmarks/random_records.py`, as people make them) and ``parts`` (`benchmarks/record_scenes.py`).
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kit.random_records import random_record
-
+from benchmarks.random_records import random_record
 from benchmarks.record_scenes import RecordScene, TruePart, scene
 from benchmarks.record_scores import table
 from modal_id import Identification, identify

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from kit.random_records import random_record
 from kit.series import QUICK
 
+from benchmarks.random_records import random_record
 from modal_id import IdentifySettings, identify
 
 # An answer is wrong beyond this number of stated standard deviations and beyond this share of the truth.

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from kit.random_records import random_record
 from kit.series import decay
 
+from benchmarks.random_records import random_record
 from modal_id.data import FitData, prepare, rough_variance
 from modal_id.segments import divide
 

@@ -41,9 +41,7 @@ def test_it_is_bayes_theorem(change, sd, radians, prior):
 
 def test_what_is_lost_precisely_is_a_decay_and_what_is_kept_a_drive():
     assert not may_be_driven(drive_probability(0.4, 0.002, 60.0))
-    assert is_driven(drive_probability(0.0, 0.002, 560.0)), (
-        "the least damping of a structure would show 3 sd"
-    )
+    assert is_driven(drive_probability(0.0, 0.002, 560.0)), "the least damping of a structure would show 3 sd"
     undecided = drive_probability(0.0, 0.05, 60.0)
     assert may_be_driven(undecided)
     assert not is_driven(undecided)

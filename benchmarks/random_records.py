@@ -1,12 +1,16 @@
 """Random records of decays as people make them: at rest, driven, plucked, stopped by hand, hit, moved, with gaps."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from kit.series import series_of
 from modal_id.posterior import modal_bound
-from tracker import DisplacementSeries
+from tracker import DisplacementSeries, FloatArray
+
+Rng = np.random.Generator
+# frequency, damping ratio, amplitude
+Mode = tuple[float, float, float]
 
 EVENTS = ("rest", "drive", "plucks", "hand stop", "click", "step", "gaps", "outliers", "repeats")
 # The strongest mode is driven and stopped; the others are at most this strong.
@@ -58,7 +62,15 @@ def random_record(seed: int) -> RandomRecord:
         np.array([noise]),
     )
     return RandomRecord(
-        series_of(time, values),
+        DisplacementSeries(
+            name="record",
+            channels=("m0",),
+            time_s=time,
+            values=values[:, None],
+            sd=np.full((time.size, 1), np.nan),
+            unit="px",
+            positions_mm=np.full(1, np.nan),
+        ),
         tuple(f for f, _, _ in modes),
         tuple(z for _, z, _ in modes),
         events,
@@ -68,7 +80,7 @@ def random_record(seed: int) -> RandomRecord:
     )
 
 
-def _modes(rng, frequency, rate):
+def _modes(rng: Rng, frequency: float, rate: float) -> list[Mode]:
     """(frequency, damping ratio, amplitude) of one to three modes, 8 % or more apart and below 0.45 of the rate."""
     modes = [(frequency, _damping(rng), 1.0)]
     for _ in range(rng.integers(0, 3)):
@@ -78,11 +90,11 @@ def _modes(rng, frequency, rate):
     return modes
 
 
-def _damping(rng):
+def _damping(rng: Rng) -> float:
     return float(np.exp(rng.uniform(np.log(1e-4), np.log(0.4))))
 
 
-def _decay(time, modes, phases):
+def _decay(time: FloatArray, modes: Sequence[Mode], phases: FloatArray) -> FloatArray:
     total = np.zeros(time.size)
     for (f, z, a), phase in zip(modes, phases, strict=True):
         omega = 2 * np.pi * f
@@ -90,7 +102,9 @@ def _decay(time, modes, phases):
     return total
 
 
-def _motion(rng, time, modes, events):
+def _motion(
+    rng: Rng, time: FloatArray, modes: Sequence[Mode], events: Sequence[str]
+) -> tuple[FloatArray, list[tuple[float, float]], list[float]]:
     """Displacement without noise, (start, amplitude) of each decay, and times at which a decay is disturbed."""
     y, span = np.zeros(time.size), float(time[-1])
     begin = span * float(rng.uniform(0.05, 0.3)) if {"rest", "drive"} & set(events) else 0.0
@@ -123,7 +137,15 @@ def _motion(rng, time, modes, events):
     return y, list(zip(starts, sizes, strict=True)), breaks
 
 
-def _disturbed(rng, time, y, noise, frequency, events, breaks):
+def _disturbed(
+    rng: Rng,
+    time: FloatArray,
+    y: FloatArray,
+    noise: float,
+    frequency: float,
+    events: Sequence[str],
+    breaks: Sequence[float],
+) -> tuple[FloatArray, list[float]]:
     """Displacement with noise, clicks, steps, gaps and repeats, and the times of all that disturbs a decay."""
     y, span, n = y.copy(), float(time[-1]), time.size
     breaks = list(breaks)
@@ -153,7 +175,9 @@ def _disturbed(rng, time, y, noise, frequency, events, breaks):
     return y, breaks
 
 
-def _longest_decay(time, starts, breaks):
+def _longest_decay(
+    time: FloatArray, starts: Sequence[tuple[float, float]], breaks: Sequence[float]
+) -> tuple[float, float, float]:
     """Begin, end and amplitude of the undisturbed decay that contains most time."""
     found = []
     for start, size in starts:
