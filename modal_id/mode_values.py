@@ -85,8 +85,7 @@ class Posterior(Table):
         Seed and spawn key of the random streams.
     extrapolation_damping_ratio : float
         Standard deviation from the damping ratio to its limit at zero amplitude, for a dependence on the amplitude
-        that a record with little decay hardly shows; the draws, which belong to the record's amplitudes, do not
-        include it. 0 where the record shows whether there is one.
+        that noise hides; the draws, which belong to the record's amplitudes, do not include it.
     sampled : SampledDraws or None
         The draws before they were widened, those of the most informative decay of a record of several.
     """

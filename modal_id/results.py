@@ -135,8 +135,8 @@ class IdentifiedMode(Table):
     def small_amplitude_damping(self) -> tuple[float, float]:
         """Damping ratio of linear theory and its standard deviation, as `small_amplitude_frequency`.
 
-        After little decay the standard deviation is larger than that of `damping_ratio`, the value at the amplitudes of
-        the record.
+        The standard deviation exceeds that of `damping_ratio`, the value at the amplitudes of the record, by what a
+        dependence on the amplitude that noise hides may change: most after little decay.
         """
         dependence = self.amplitude_dependence
         if dependence is not None and dependence.significant:

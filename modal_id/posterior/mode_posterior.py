@@ -171,7 +171,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
     left = min(float(np.exp(pole.real * model.data.span_s)), 1.0)
-    beyond = 0.0 if left <= LITTLE_DECAY else _unseen_slope_sd(abs(zeta), dependence) * float(np.sqrt(left))
+    beyond = _beyond(abs(zeta), left, dependence)
     return DeterminedMode(frequency, covariance, dependence, density, extra, beyond)
 
 
@@ -233,6 +233,16 @@ def _unseen_slope_sd(zeta: float, dependence: AmplitudeDependence | None) -> flo
     if dependence is not None:
         precision += dependence.zeta1_sd**-2.0
     return 1.0 / float(np.sqrt(precision))
+
+
+def _beyond(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
+    """Standard deviation of the limit at zero amplitude beyond that of the constant damping ratio.
+
+    m zeta1; where little of the amplitude is lost, h zeta1 is in the constant ratio already, and the rest is left. That
+    no dependence is significant does not mean that there is none.
+    """
+    share = np.sqrt(left) if left > LITTLE_DECAY else 0.5 * (1.0 + left)
+    return _unseen_slope_sd(zeta, dependence) * float(share)
 
 
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
