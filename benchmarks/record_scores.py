@@ -176,7 +176,7 @@ def _row(scores: Sequence[Score]) -> dict[str, str]:
         return f"{np.sqrt(np.mean(values**2)):.2f}" if values.size else ""
 
     edges = [d for s in scores for d in s.get("edges", ())]
-    excited = sum(all_of("excited"))
+    excited, extra = sum(all_of("excited")), all_of("extra_edges")
     return {
         "records": str(len(scores)),
         "crashes": count("crashed"),
@@ -193,7 +193,7 @@ def _row(scores: Sequence[Score]) -> dict[str, str]:
         "zeta in 90 % interval, %": percent("in_zeta"),
         "boundaries, median distance in cycles": f"{np.median(edges):.2f}" if edges else "",
         "boundaries within half a cycle, %": f"{100 * np.mean(np.array(edges) < 0.5):.0f}" if edges else "",
-        "false boundaries a record": f"{np.mean(all_of('extra_edges') or [np.nan]):.2f}",
+        "false boundaries a record": f"{np.mean(extra):.2f}" if extra else "",
         "start of the decay right, %": percent("start"),
         "hand recognised, %": percent("hand"),
         "true modes listed, %": f"{100 * sum(all_of('listed')) / excited:.0f}" if excited else "",
@@ -229,8 +229,9 @@ def table(runs: Mapping[str, Sequence[Answer]], sets: Mapping[str, Callable[[int
 def _side_by_side(rows: Mapping[str, Mapping[str, str]]) -> str:
     first = next(iter(rows.values()))
     text = "| | " + " | ".join(rows) + " |\n| --- |" + " --- |" * len(rows) + "\n"
+    shown = [name for name in first if any(row[name] for row in rows.values())]
     return text + "".join(
-        f"| {name} | " + " | ".join(r[name] for r in rows.values()) + " |\n" for name in first
+        f"| {name} | " + " | ".join(r[name] for r in rows.values()) + " |\n" for name in shown
     )
 
 
