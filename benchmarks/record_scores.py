@@ -98,7 +98,6 @@ def _of_first_mode(modes: Sequence[Mapping[str, Any]], truth: RecordScene) -> Sc
         "z_zeta": (mode["zeta"] - zeta) / mode["zeta_sd"],
         "in_frequency": abs(mode["frequency_hz"] - frequency) < reach,
         "in_zeta": low <= zeta <= high,
-        "zeta_sd": mode["zeta_sd"] / zeta,
     }
 
 
@@ -163,8 +162,12 @@ def _kinds(parts: Sequence[tuple[str, float, float]], truth: RecordScene) -> dic
 
 def _row(scores: Sequence[Score]) -> dict[str, str]:
     """Each measure over some records."""
-    all_of = lambda name: [s[name] for s in scores if name in s]  # noqa: E731 - a name for one expression
-    count = lambda name: str(sum(all_of(name)))  # noqa: E731
+
+    def all_of(name: str) -> list[Any]:
+        return [s[name] for s in scores if name in s]
+
+    def count(name: str) -> str:
+        return str(sum(all_of(name)))
 
     def percent(name: str) -> str:
         values = all_of(name)

@@ -89,7 +89,7 @@ def answer(name: str, seed: int) -> dict[str, Any]:
 
 
 def answers(name: str, seeds: Iterable[int], workers: int) -> Iterator[dict[str, Any]]:
-    """In the order of the seeds, by so many processes; each loads the kernels with a record that is not counted."""
+    """In the order of the seeds, by several processes; each loads the kernels before its first record."""
     with ProcessPoolExecutor(workers, initializer=_load_kernels) as pool:
         yield from pool.map(partial(answer, name), seeds)
 

@@ -271,7 +271,7 @@ def change(module: str, name: str, value: float) -> None:
             setattr(cls, name, value)
         return original(cls, **options)
 
-    dataclasses.dataclass = decorated  # type: ignore[assignment]
+    dataclasses.dataclass = decorated  # type: ignore[assignment]  # replaced to see every Tuning as it is made
 
 
 def _part(name: str, changed: list[str], out: Path) -> None:

@@ -304,7 +304,7 @@ def comparisons() -> Found:
         ratios = [*MEASURED_DAMPING_RATIO]
         ratios[mode - 1] = recorded.target.damping_ratio
         generic = GenericDamping(tuple(ratios))
-        rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])  # type: ignore[arg-type]
+        rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])  # type: ignore[arg-type]  # two of five
         draws = tuple(
             GenericDamping((*ratios[: mode - 1], ratios[mode - 1] * (1.0 + 0.01 * k), *ratios[mode:]))
             for k in range(-2, 3)

@@ -196,16 +196,20 @@ def _of_decays(
     """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
     loud = without_faint(decays)
     faint = [one for one in decays if all(one is not other for other in loud)]
-    segments = _said(segments, faint, _FAINT)
+    segments = _as_disturbed(segments, faint, _FAINT)
     decays = loud
     position = most_informative(decays)
     main = decays[position]
     if all(does_not_decay(one) for one in decays):
         return _driven(series, settings, used, main, segments)
     found, held = combine_decays(assemble(series, settings, used, main), decays, position)
-    segments = _said(segments, held, _HELD)
+    segments = _as_disturbed(segments, held, _HELD)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-    other = any(s.kind == "driven" or (s.kind != "decay" and s.start_s >= main.end_s) for s in segments)
+    # Another part is driven, or the motion ends abruptly: a drive that has changed, or stopped.
+    other = any(
+        s.kind == "driven" or (s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s)
+        for s in segments
+    )
     if is_driven(driven) or (other and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
     if may_be_driven(driven):
@@ -222,7 +226,9 @@ def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
     return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 
 
-def _said(segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str) -> tuple[Segment, ...]:
+def _as_disturbed(
+    segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str
+) -> tuple[Segment, ...]:
     """The segments, with those of the given decays as disturbed."""
     starts = {one.onset.time_s for one in decays}
     return tuple(

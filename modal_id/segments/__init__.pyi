@@ -5,6 +5,7 @@ from .divide import RecordParts as RecordParts
 from .divide import divide as divide
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_RISE as PRIOR_AFTER_RISE
+from .drive_odds import PRIOR_BEFORE_CHANGE as PRIOR_BEFORE_CHANGE
 from .drive_odds import drive_probability as drive_probability
 from .drive_odds import is_driven as is_driven
 from .drive_odds import is_rather_driven as is_rather_driven

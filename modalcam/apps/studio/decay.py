@@ -20,6 +20,7 @@ from modal_id import (
     identify_free_decay,
 )
 from modal_id.fit import nyquist_hz
+from modal_id.segments import PRIOR_BEFORE_CHANGE, drive_probability, is_rather_driven
 from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
@@ -177,11 +178,7 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
     A part of a record that is driven passes for a slow decay where the decay after it is not seen.
     """
     length_s = decay.span_s[1] - decay.span_s[0]
-    slow = [
-        m
-        for m in decay.modes
-        if 2.0 * np.pi * m.frequency_hz * m.damping_ratio * length_s < TUNING.hardly_decays
-    ]
+    slow = [m for m in decay.modes if is_rather_driven(_drive_probability(m, length_s))]
     nan = float("nan")
     modes = tuple(
         replace(m, damping_ratio=nan, interval=(nan, nan), flags=(*m.flags, ModeFlag.DRIVEN.name))
@@ -195,6 +192,13 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
         for m in slow
     )
     return replace(decay, modes=modes, notes=(*decay.notes, *notes))
+
+
+def _drive_probability(mode: FoundMode, length_s: float) -> float:
+    radians = 2.0 * np.pi * mode.frequency_hz * length_s
+    # the sd of a normal density with this 90 % interval
+    sd = (mode.interval[1] - mode.interval[0]) / (2.0 * 1.645)
+    return drive_probability(mode.damping_ratio * radians, sd * radians, radians, PRIOR_BEFORE_CHANGE)
 
 
 def stabilisation(found: Identification) -> tuple[Pole, ...]:
@@ -257,8 +261,6 @@ class Tuning:
     #: [sd] a smaller amplitude is noise
     #: statistics: A normal error exceeds it in 6e-7 of cases.
     significance: float = 5.0
-    #: [1] fall of the log amplitude up to which a motion passes for a drive
-    hardly_decays: float = 0.1
 
 
 TUNING = Tuning()
