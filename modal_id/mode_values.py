@@ -193,7 +193,9 @@ class AmplitudeDependence:
 
     Attributes ending in ``sd`` are standard deviations. ``significant`` is True where the data prefer a dependence on
     the amplitude, of this or any other form, to a constant frequency and damping ratio. ``curve`` is the dependence of
-    any form; None where the record is too short or too noisy for it.
+    any form; None where the record is too short or too noisy for it. ``averaged`` is the damping ratio at zero
+    amplitude with its standard deviation, over forms that are linear in a and in a^2 weighted by their likelihood; NaN
+    where only one of them can be fitted.
     """
 
     zeta0: float
@@ -206,6 +208,7 @@ class AmplitudeDependence:
     f2_sd_hz: float
     significant: bool
     curve: AmplitudeCurve | None = None
+    averaged: tuple[float, float] = (float("nan"), float("nan"))
 
     @property
     def small_amplitude_frequency(self) -> tuple[float, float]:
@@ -218,7 +221,7 @@ class AmplitudeDependence:
     def small_amplitude_damping(self) -> tuple[float, float]:
         """Damping ratio in the limit of zero amplitude, and its standard deviation."""
         if self.curve is None:
-            return self.zeta0, self.zeta0_sd
+            return self.averaged if np.isfinite(self.averaged[0]) else (self.zeta0, self.zeta0_sd)
         return float(self.curve.damping_ratio[0]), float(self.curve.damping_ratio_sd[0])
 
 

@@ -112,7 +112,7 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
     decay_sd, angular_sd = TUNING.law_decay_change * track.decay, TUNING.law_angular_change * track.angular
     change = [float(at.decay[-1] - at.decay[1]), float(at.angular[-1] - at.angular[1])]
     small = [float(at.decay[1]), float(at.angular[1])]
-    for powers in ((1.0, 2.0), (1.0, 1.0)):
+    for powers in ((1.0, 2.0), (1.0, 1.0), (2.0, 2.0)):
         law = PowerLaw(powers, decay_sd, angular_sd)
         found.append((0.0, track.fit(law, np.array(small + change))))
     start = np.array([*small, change[1]])

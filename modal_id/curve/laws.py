@@ -74,7 +74,8 @@ class PowerLaw(Law):
     """``value(a) = value_0 + change a^p``, with a power for the decay rate and one for the frequency.
 
     Powers 1 and 2: quadratic air drag, whose damping ratio is proportional to the amplitude, and large deflections.
-    Powers 1 and 1: stiffness and loss of the structure are both linear in the amplitude. No powers: Eq. 1.
+    Powers 1 and 1: stiffness and loss of the structure are both linear in the amplitude. Powers 2 and 2: the even
+    dependence of a symmetric structure. No powers: Eq. 1.
 
     Attributes
     ----------
@@ -93,7 +94,8 @@ class PowerLaw(Law):
         """States the powers."""
         if not self.powers:
             return CONSTANT
-        return "ζ linear in a, f linear in " + ("a" if self.powers[1] == 1.0 else "a²")
+        damping, frequency = ("a" if power == 1.0 else "a²" for power in self.powers)
+        return f"ζ linear in {damping}, f linear in {frequency}"
 
     @property
     def prior_sd(self) -> FloatArray:

@@ -19,6 +19,7 @@ from .prepare import with_base as with_base
 from .projection import project as project
 from .repeats import repeated_rows as repeated_rows
 from .samples import FitData as FitData
+from .samples import detrended as detrended
 from .samples import neighbour_sums as neighbour_sums
 from .samples import rough_variance as rough_variance
 from .samples import runs as runs

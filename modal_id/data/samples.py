@@ -110,6 +110,13 @@ def rough_variance(data: FitData) -> FloatArray:
     return np.maximum(result, floor)
 
 
+def detrended(data: FitData) -> FloatArray:
+    """Values less the mean of each channel, 0 where missing."""
+    total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
+    mean = np.sum(data.weights * data.values, axis=0) / total
+    return np.where(data.weights > 0.0, data.values - mean, 0.0)
+
+
 def neighbour_sums(n: int, factor: int) -> tuple[csr_array, NDArray[np.intp]]:
     """Matrix, shape (m, n), that sums each `factor` neighbouring rows, and the number of rows in each sum."""
     # Half the memory of the indices that SciPy would take.

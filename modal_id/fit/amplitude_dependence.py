@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, expm1, sin
+from math import cos, expm1, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -54,7 +54,7 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class AmplitudeFit:
-    """Fit of one mode with d ln a / dt = -(p0 + p2 a) and d phase / dt = p1 + p3 a^2.
+    """Fit of one mode with d ln a / dt = -(p0 + p2 a^power) and d phase / dt = p1 + p3 a^2.
 
     Attributes
     ----------
@@ -70,6 +70,8 @@ class AmplitudeFit:
         Real and imaginary part of the derivatives of the decay.
     weights : array, shape (k, 8, 4)
         From `slope_weights`: their effect on each channel.
+    power : int
+        1 (drag of the air) or 2 (the even dependence of a symmetric structure).
     """
 
     problem: Problem
@@ -78,6 +80,7 @@ class AmplitudeFit:
     linear: LinearSolution
     slopes: DecayColumns
     weights: FloatArray
+    power: int = 1
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class DecayColumns:
 
     time_s: FloatArray
     parameters: FloatArray
+    power: int
     states: FloatArray
     slopes: bool
 
@@ -104,7 +108,7 @@ class DecayColumns:
         first, last, _ = rows.indices(self.time_s.size)
         block = first // _BLOCK
         begin = block * _BLOCK
-        wave, slopes = _decay(self.time_s[begin:last], self.parameters, self.states[block].copy())
+        wave, slopes = _decay(self.time_s[begin:last], self.parameters, self.power, self.states[block].copy())
         return real_columns(slopes if self.slopes else wave[:, None])[first - begin :]
 
     def _some(self, rows: NDArray[np.intp]) -> FloatArray:
@@ -117,14 +121,16 @@ class DecayColumns:
         return found
 
 
-def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> tuple[DecayColumns, DecayColumns] | None:
+def nonlinear_decay(
+    time_s: FloatArray, parameters: FloatArray, power: int = 1
+) -> tuple[DecayColumns, DecayColumns] | None:
     """``a(t) exp(i phase(t))`` of a mode for times from 0, and its derivatives with respect to p0 to p3.
 
-    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound, or is lost within a sample.
+    Parameters and power as in `AmplitudeFit`; None where the amplitude grows without bound, or is lost within a sample.
 
     Notes
     -----
-    ``a = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-p0 t)``, solves ``da/dt = -(p0 + p2 a) a`` with a(0) = 1.
+    ``a^q = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-q p0 t)``, solves ``da/dt = -(p0 + p2 a^q) a`` with a(0) = 1.
     """
     if np.any(-float(parameters[0]) * time_s[[0, -1]] > 300.0):
         return None
@@ -137,15 +143,15 @@ def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> tuple[DecayCo
     states = []
     for first in range(0, time_s.size, _BLOCK):
         states.append(state.copy())
-        if not _decay(time_s[first : first + _BLOCK], parameters, state)[0].size:
+        if not _decay(time_s[first : first + _BLOCK], parameters, power, state)[0].size:
             return None
-    wave, slopes = (DecayColumns(time_s, parameters, np.array(states), one) for one in (False, True))
+    wave, slopes = (DecayColumns(time_s, parameters, power, np.array(states), one) for one in (False, True))
     return wave, slopes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _decay(
-    time_s: FloatArray, parameters: FloatArray, state: FloatArray
+    time_s: FloatArray, parameters: FloatArray, power: int, state: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Wave and slopes of `nonlinear_decay` from some sample on, integrals by the trapezoidal rule.
 
@@ -158,16 +164,18 @@ def _decay(
     area, area_0, area_2, last, last_0, last_2, last_s = state
     for row in range(n):
         t = time_s[row]
-        lost = -expm1(-p0 * t)
+        turns = power * t
+        lost = -expm1(-p0 * turns)
         decay = 1.0 - lost
         exponential = abs(p0) * t > 1e-6
-        grown = lost / p0 if exponential else t
-        grown_slope = (t * decay - grown) / p0 if exponential else -0.5 * t * t
+        grown = lost / p0 if exponential else turns
+        grown_slope = (turns * decay - grown) / p0 if exponential else -0.5 * turns * turns
         denominator = 1.0 + p2 * grown
         if denominator <= 1e-6:
             return wave[:0], slopes[:0]
-        a = decay / denominator
-        a_0, a_2 = -a * (t + p2 * grown_slope / denominator), -a * grown / denominator
+        a = decay / denominator if power == 1 else sqrt(decay / denominator)
+        a_0 = -a * (t + p2 * grown_slope / (power * denominator))
+        a_2 = -a * grown / (power * denominator)
         half = 0.5 * (t - last_s)
         area += half * (last + a * a)
         area_0 += half * (last_0 + a * a_0)
@@ -187,7 +195,9 @@ def _decay(
     return wave, slopes
 
 
-def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> AmplitudeFit | None:
+def fit_amplitude_dependence(
+    problem: Problem, fit: PoleFit, mode: int, power: int = 1
+) -> AmplitudeFit | None:
     """Least squares with one mode depending on its amplitude, the other poles held.
 
     None when the record does not determine the four parameters (too little decay, for example).
@@ -199,13 +209,15 @@ def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> Ampli
     if factor > 1:
         # Averages of neighbouring samples, other modes subtracted, give an inexpensive starting value.
         thin = own_problem(problem, fit, mode).thinned(factor)
-        near = _gauss_newton(thin, no_columns(thin.data.time_s), start)
+        near = _gauss_newton(thin, no_columns(thin.data.time_s), start, power)
         start = start if near is None else near.parameters
-    return _gauss_newton(problem, others, start)
+    return _gauss_newton(problem, others, start, power)
 
 
-def _gauss_newton(problem: Problem, others: ModeColumns, start: FloatArray) -> AmplitudeFit | None:
-    found = _solve(problem, start, others)
+def _gauss_newton(
+    problem: Problem, others: ModeColumns, start: FloatArray, power: int
+) -> AmplitudeFit | None:
+    found = _solve(problem, start, others, power)
     for _ in range(TUNING.max_iterations):
         if found is None:
             return None
@@ -222,7 +234,7 @@ def _gauss_newton(problem: Problem, others: ModeColumns, start: FloatArray) -> A
         if moved is None:
             converged = gain < TUNING.converged_to_rounding
             return (
-                AmplitudeFit(problem, found.parameters, covariance, found.linear, *tangent)
+                AmplitudeFit(problem, found.parameters, covariance, found.linear, *tangent, power)
                 if converged
                 else None
             )
@@ -241,8 +253,8 @@ class _Solved:
         return self.slopes, slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
 
 
-def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns) -> _Solved | None:
-    decay = nonlinear_decay(problem.data.time_s, parameters)
+def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns, power: int) -> _Solved | None:
+    decay = nonlinear_decay(problem.data.time_s, parameters, power)
     if decay is None:
         return None
     wave, slopes = decay
@@ -252,7 +264,7 @@ def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns) -> _So
 def _move(problem: Problem, step: FloatArray, others: ModeColumns, now: _Solved) -> _Solved | None:
     before = objective(problem.data, now.linear)
     for _ in range(TUNING.max_halvings):
-        trial = _solve(problem, now.parameters + step, others)
+        trial = _solve(problem, now.parameters + step, others, now.slopes.power)
         if trial is not None and objective(problem.data, trial.linear) < before:
             return trial
         step = 0.4 * step

@@ -25,10 +25,12 @@ from modal_id.pieces.misfit import Misfit, misfit
 from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments import (
+    Boundary,
     changed_onset,
     click_segments,
     from_largest_deflection,
     keeps_amplitude,
+    locate_boundary,
     no_line,
     without_clicks,
 )
@@ -51,6 +53,10 @@ class Tuning:
     least_cycles: float = 6.0
     #: [cycles] the same, where both parts have been fitted
     fewest_cycles: float = 2.5
+    #: [samples] samples per cycle of the fastest mode in the search for the time of a change
+    samples_per_cycle: float = 8.0
+    #: [cycles] error of the time of a change before it is located
+    rough_cycles: float = 1.0
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
 
@@ -120,7 +126,7 @@ class PieceFitter:
             change, least = interruption, TUNING.fewest_cycles
             if interruption is None:
                 self.rough.append((left.share, one))
-                change, least = change_of_motion(one.model) if splits > 0 else None, TUNING.least_cycles
+                change, least = self._change(one, one.model) if splits > 0 else None, TUNING.least_cycles
             splits -= 1
             if change is None:
                 reason = _unexplained(onset, end_s, left)
@@ -128,7 +134,7 @@ class PieceFitter:
                 continue
             before, after = _divided(one, change)
             kinds: tuple[SegmentKind, SegmentKind] = ("disturbed", "disturbed")
-            if rests_until(one.data, change):
+            if rests_until(one.data, change.start_s):
                 kinds = ("disturbed", "at rest")
             for (begin, end), kind in zip((after, before), kinds, strict=True):
                 if end - begin.fit_from_s > least * _cycle_s(one):
@@ -137,17 +143,35 @@ class PieceFitter:
                     note = "The motion changes before and after."
                     yield Piece(Segment("disturbed", begin.time_s, end, note))
 
-    def _interruption(self, one: FittedDecay) -> float | None:
-        """Time, relative to the fit's data, of an interruption that explains close modes better; None without one."""
+    def _change(self, one: FittedDecay, model: ModalFit) -> Boundary | None:
+        """Where the motion changes, relative to the fit's data; None where these are too few."""
+        change_s = change_of_motion(model)
+        if change_s is None:
+            return None
+        cycle_s, fastest_hz = _cycle_s(one), float(np.max(frequency_hz(one.model.fit.poles)))
+        # A pluck may have been taken for a click of the motion as a whole.
+        rows = one.rows - self.used.first_row
+        unused = (self.disturbed | self.used.repeated)[rows]
+        data = _without(replace(one.data, weights=self.used.data.weights[rows]), unused)
+        thin = data.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * fastest_hz * data.step_s))))
+        last_s, rough_s = float(one.data.time_s[-1]), TUNING.rough_cycles * cycle_s
+        limits = max(change_s - rough_s, 0.0), min(change_s + rough_s, last_s)
+        found = locate_boundary(thin, 0.0, limits, last_s, cycle_s, self.lowest_hz)
+        return found or Boundary(change_s - one.data.step_s, change_s, 0.25 * cycle_s)
+
+    def _interruption(self, one: FittedDecay) -> Boundary | None:
+        """Where, relative to the fit's data, an interruption explains close modes better; None without one."""
         single = single_modes(one.model)
-        change = None if single is None else change_of_motion(single)
+        change = None if single is None else self._change(one, single)
         if change is None:
             return None
-        parts = [self.fit(*part) for part in _divided(one, change, settle_s=0.0)]
+        parts = [self.fit(*part) for part in _divided(one, change)]
         fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
         if fitted and is_transient(one.model):
             return change
-        complete = len(fitted) == 2 or (isinstance(parts[-1], FittedDecay) and rests_until(one.data, change))
+        complete = len(fitted) == 2 or (
+            isinstance(parts[-1], FittedDecay) and rests_until(one.data, change.start_s)
+        )
         return change if complete and is_rather_interrupted(one, fitted) else None
 
     def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
@@ -229,11 +253,11 @@ def _cycle_s(one: FittedDecay) -> float:
     return 1.0 / float(hz[np.argmax(energy)])
 
 
-def _divided(one: FittedDecay, change_s: float, settle_s: float | None = None) -> list[tuple[Onset, float]]:
+def _divided(one: FittedDecay, change: Boundary) -> list[tuple[Onset, float]]:
     """Onset and end of the pieces before and after a change, given in the time of the fit's data."""
-    time_s = one.onset.fit_from_s + change_s
-    after = changed_onset(time_s, _cycle_s(one) if settle_s is None else settle_s, one.end_s)
-    return [(one.onset, time_s - one.data.step_s), (after, one.end_s)]
+    origin_s = one.onset.fit_from_s
+    after = changed_onset(origin_s + change.start_s, change.sd_s)
+    return [(one.onset, origin_s + change.end_s), (after, one.end_s)]
 
 
 def _explained(one: FittedDecay, *, follows: bool) -> Segment:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import expit, fdtrc
 
 from modal_id.curve import amplitude_curve
-from modal_id.fit import AmplitudeFit, ModalFit
+from modal_id.fit import AmplitudeFit, ModalFit, fit_amplitude_dependence
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 
@@ -116,9 +116,13 @@ def _linear(
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
     improves = bool(fdtrc(2.0, noise.dof, statistic) < TUNING.false_alarm)
+    zeta0, zeta0_sd = p[0] / omega, float(np.hypot(sd[0] / omega, beyond[0]))
+    averaged = (float("nan"), float("nan"))
+    if curve is None and improves:
+        averaged = _over_forms(own, amplitude_fit, factor, (zeta0, zeta0_sd), lowest)
     return AmplitudeDependence(
-        zeta0=p[0] / omega,
-        zeta0_sd=float(np.hypot(sd[0] / omega, beyond[0])),
+        zeta0=zeta0,
+        zeta0_sd=zeta0_sd,
         zeta1=p[2] / omega,
         zeta1_sd=sd[2] / omega,
         f0_hz=omega / (2.0 * np.pi),
@@ -127,4 +131,28 @@ def _linear(
         f2_sd_hz=sd[3] / (2.0 * np.pi),
         significant=improves or varies,
         curve=curve,
+        averaged=averaged,
     )
+
+
+def _over_forms(
+    own: ModalFit, linear: AmplitudeFit, factor: float, zeta0: tuple[float, float], lowest: float
+) -> tuple[float, float]:
+    """Damping ratio at zero amplitude and its sd over forms linear in a and in a^2; NaN where the latter has no fit.
+
+    `zeta0` are those of the linear form, `factor` is the noise factor, `lowest` the lowest amplitude of the record.
+    """
+    square = fit_amplitude_dependence(own.problem, own.fit, 0, 2)
+    if square is None:
+        return float("nan"), float("nan")
+    p = square.parameters
+    omega = float(np.hypot(p[0], p[1]))
+    sd = float(np.sqrt(square.covariance[0, 0])) * factor / omega
+    values = np.array([zeta0[0], float(p[0]) / omega])
+    # What the form does below the lowest amplitude is an assumption.
+    variances = np.array([zeta0[1] ** 2, sd**2 + (0.5 * float(p[2]) * lowest / omega) ** 2])
+    gain = float(np.sum((linear.linear.rss - square.linear.rss) / linear.linear.noise_variance)) / factor**2
+    share = expit(0.5 * gain)
+    weights = np.array([1.0 - share, share])
+    mean = float(weights @ values)
+    return mean, float(np.sqrt(weights @ (variances + (values - mean) ** 2)))

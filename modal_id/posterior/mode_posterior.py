@@ -208,7 +208,7 @@ def _systematic(
 def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tuple[float, float]:
     """Distances of the constant values to those at zero amplitude or, if further and there is a curve, at the start."""
     if dependence.curve is None:
-        return abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta)
+        return abs(dependence.f0_hz - frequency), abs(dependence.small_amplitude_damping[0] - zeta)
     ends = dependence.curve.frequency_hz[[0, -1]], dependence.curve.damping_ratio[[0, -1]]
     return float(np.max(np.abs(ends[0] - frequency))), float(np.max(np.abs(ends[1] - zeta)))
 

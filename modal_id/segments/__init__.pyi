@@ -1,3 +1,5 @@
+from .boundary import Boundary as Boundary
+from .boundary import locate_boundary as locate_boundary
 from .clicks import click_segments as click_segments
 from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, detrended
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import dominant_hz
 from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, PRIOR_BEFORE_CHANGE, is_rather_driven
@@ -15,7 +15,6 @@ from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
-    detrended,
     no_onset,
     record_start,
     release_onset,

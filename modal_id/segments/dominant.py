@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, detrended
 from modal_id.fit import Candidate, candidates
-from modal_id.segments.find_onset import detrended
 from modal_id.segments.swing import FEW_CYCLES
 from tracker import FloatArray
 

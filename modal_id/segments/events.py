@@ -11,8 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data import FitData, baseline_splines
+from modal_id.data import FitData, baseline_splines, detrended, rough_variance
 from modal_id.fit import find_modes
+from modal_id.segments.boundary import locate_boundary
 from modal_id.segments.envelope import short_time
 from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
 from modal_id.solve import ModeColumns, Problem, fit_poles, solve_linear
@@ -70,13 +71,15 @@ class Event:
 
     ``kind`` is "rise" (the amplitude grows: a pluck or a blow), "fall" (it drops: a hand), "interruption" (a step or a
     change of phase at about the same amplitude), or "burst" (a click after which the motion goes on as before: only
-    the samples within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown.
+    the samples within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown;
+    ``sd_s`` the standard deviation of its limits, NaN where unknown.
     """
 
     kind: EventKind
     start_s: float
     end_s: float
     decay_per_s: float = 0.0
+    sd_s: float = float("nan")
 
 
 def find_events(
@@ -110,7 +113,26 @@ def find_events(
             weights = np.where(_between(data, event.start_s, event.end_s)[:, None], 0.0, weights)
         else:
             begin = event.end_s
-    return events
+    return _located(replace(data, weights=weights), events, frequency_hz, lowest_hz)
+
+
+def _located(data: FitData, events: list[Event], frequency_hz: float, lowest_hz: float) -> list[Event]:
+    """The events with their limits to the sample, from the motions on both sides; clicks keep theirs."""
+    changes = [e for e in events if e.kind != "burst"]
+    begins = [float(data.time_s[0]), *(e.end_s for e in changes)]
+    ends = [*(e.start_s for e in changes[1:]), float(data.time_s[-1])]
+    found: dict[Event, Event] = {}
+    for one, begin, end in zip(changes, begins, ends, strict=False):
+        limits = one.start_s, one.end_s
+        if one.kind == "rise":
+            # The motion that follows is largest where it begins.
+            part = data.rows(_between(data, *limits))
+            size = np.max(np.abs(detrended(part)) / np.sqrt(rough_variance(data)), axis=1)
+            limits = one.start_s, min(one.end_s, float(part.time_s[np.argmax(size)]) + 1.0 / frequency_hz)
+        place = locate_boundary(data, begin, limits, end, 1.0 / frequency_hz, lowest_hz)
+        if place is not None:
+            found[one] = replace(one, start_s=place.end_s, end_s=place.start_s, sd_s=place.sd_s)
+    return [found.get(e, e) for e in events]
 
 
 def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, detrended
 from modal_id.fit import find_modes
 from modal_id.record import Onset
 from modal_id.segments.events import Event
@@ -99,17 +99,19 @@ def _method(stop: Stop | None, base: BoolArray) -> str:
 def release_onset(
     data: FitData, variance: FloatArray, frequency_hz: float, event: Event, end_s: float
 ) -> Onset:
-    """Onset at a pluck or a blow: the largest deflection about the event; times relative to `data`."""
-    reach = 0.5 / frequency_hz
-    rows = np.flatnonzero((data.time_s >= event.start_s) & (data.time_s <= event.end_s + reach))
+    """Onset at a pluck or a blow: the largest deflection within the event; times relative to `data`.
+
+    An event without duration is the onset. Within a longer one, modes that die out soon follow the release.
+    """
+    rows = np.flatnonzero((data.time_s >= event.start_s) & (data.time_s <= event.end_s))
     values = np.abs(detrended(data)[rows]) * (data.weights[rows] > 0.0) / np.sqrt(variance)
-    peak_s = float(data.time_s[rows[np.argmax(np.max(values, axis=1))]])
-    fit_from = peak_s + _after_event(frequency_hz, event, end_s - peak_s)
+    released_s = float(data.time_s[rows[np.argmax(np.max(values, axis=1))]]) if rows.size else event.end_s
+    fit_from = max(released_s + _after_event(frequency_hz, event, end_s - released_s), event.end_s)
     note = (
-        f"The structure is released at {peak_s:.4g} s: the decay starts at the largest deflection. The fit begins "
-        f"{fit_from - peak_s:.3g} s later, when the shortest transients are over."
+        f"The structure is released at {released_s:.4g} s: the decay starts there. The fit begins "
+        f"{fit_from - released_s:.3g} s later, when the shortest transients are over."
     )
-    return Onset(peak_s, 0.25 / frequency_hz, fit_from, "peak", 1.0, note)
+    return Onset(released_s, event.sd_s, fit_from, "peak", 1.0, note)
 
 
 def continued_onset(event: Event) -> Onset:
@@ -138,20 +140,12 @@ def from_largest_deflection(data: FitData) -> Onset | None:
     return Onset(time_s, data.step_s, time_s, "peak", 1.0, note)
 
 
-def changed_onset(time_s: float, cycle_s: float, end_s: float) -> Onset:
-    """Onset where the motion changes at a time that is known to a fraction of a cycle."""
-    fit_from = time_s + min(0.5 * cycle_s, TUNING.max_settle_fraction * (end_s - time_s))
-    note = f"The motion changes at {time_s:.4g} s: it is fitted from {fit_from:.4g} s."
-    return Onset(time_s, 0.25 * cycle_s, fit_from, "interruption", 1.0, note)
+def changed_onset(time_s: float, sd_s: float) -> Onset:
+    """Onset where the motion changes."""
+    note = f"The motion changes at {time_s:.4g} s: it is fitted from there."
+    return Onset(time_s, sd_s, time_s, "interruption", 1.0, note)
 
 
 def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:
     decay = TUNING.settle_decay_times / max(event.decay_per_s, 1e-300)
     return min(1.0 / frequency_hz, decay, TUNING.max_settle_fraction * remaining_s)
-
-
-def detrended(data: FitData) -> FloatArray:
-    """Values less the mean of each channel, 0 where missing."""
-    total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
-    mean = np.sum(data.weights * data.values, axis=0) / total
-    return np.where(data.weights > 0.0, data.values - mean, 0.0)

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data import FitData, rough_variance, runs
+from modal_id.data import FitData, detrended, rough_variance, runs
 from modal_id.fit import MAX_DAMPING, power_spectrum
 from modal_id.record import Segment
-from modal_id.segments.find_onset import detrended
 from tracker import BoolArray, FloatArray
 
 
