@@ -21,7 +21,14 @@ from modal_id.data import (
 )
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.flags import ModeFlag
-from modal_id.modes import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
+from modal_id.modes import (
+    FittedDecay,
+    combine_decays,
+    does_not_decay,
+    most_informative,
+    without_faint,
+    without_held,
+)
 from modal_id.pieces import fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
@@ -194,16 +201,15 @@ def _of_decays(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
-    loud = without_faint(decays)
-    faint = [one for one in decays if all(one is not other for other in loud)]
-    segments = _as_disturbed(segments, faint, _FAINT)
-    decays = loud
+    for kept, note in ((without_faint, _FAINT), (without_held, _HELD)):
+        others = decays
+        decays = kept(others)
+        segments = _as_disturbed(segments, [o for o in others if all(o is not one for one in decays)], note)
     position = most_informative(decays)
     main = decays[position]
     if all(does_not_decay(one) for one in decays):
         return _driven(series, settings, used, main, segments)
-    found, held = combine_decays(assemble(series, settings, used, main), decays, position)
-    segments = _as_disturbed(segments, held, _HELD)
+    found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
     # Another part is driven, or the motion ends abruptly: a drive that has changed, or stopped.
     other = any(

@@ -24,6 +24,8 @@ class Tuning:
     wide_bins: int = 61
     #: [bins] width of the narrow window for the noise level
     narrow_bins: int = 15
+    #: [1] ratio to a mode's frequency beyond which the misfit of a change of its motion is small
+    aside: float = 1.25
     #: [half-widths] outer edge of the bins outside a band
     outside: float = 4.0
 
@@ -50,6 +52,21 @@ class ResidualSpectrum:
         """Noise level around a frequency."""
         nearest = np.argmin(np.abs(self.frequency_hz - frequency_hz), keepdims=True)
         return float(local_level(self.power, self.channels, nearest)[0])
+
+    def level_aside(self, frequency_hz: float) -> float:
+        """Noise at a frequency relative to white noise, from a fifth to an octave below and above it; 1 where unknown.
+
+        A mode whose motion changes within a few cycles leaves a line too wide for `level`. The geometric mean of both
+        sides is exact for a power law.
+        """
+        ratio = self.frequency_hz / frequency_hz
+        sides = [
+            self.power[(one > TUNING.aside) & (one < 2.0)] for one in (ratio, 1.0 / np.maximum(ratio, 1e-300))
+        ]
+        if min(side.size for side in sides) < TUNING.narrow_bins:
+            return 1.0
+        level = float(np.exp(np.mean([np.log(max(float(np.median(side)), 1e-300)) for side in sides])))
+        return level * mean_per_median(self.channels) / self.channels
 
     def misfit_score(self, centre_hz: float, half_width_hz: float) -> float:
         """Score, as in `Candidate`, of the strongest bin within a band; 0 where no bin lies in it.

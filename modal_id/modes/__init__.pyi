@@ -11,6 +11,7 @@ from .decays import combine_decays as combine_decays
 from .decays import does_not_decay as does_not_decay
 from .decays import most_informative as most_informative
 from .decays import without_faint as without_faint
+from .decays import without_held as without_held
 from .flag_rules import LEAST_CYCLES as LEAST_CYCLES
 from .flag_rules import MANY_OUTLIERS as MANY_OUTLIERS
 from .flag_rules import mode_flags as mode_flags

@@ -115,35 +115,52 @@ def _damping_sd(model: ModalFit) -> float:
     return sd / abs(pole) * (1.0 if decays else TUNING.last_choice)
 
 
-def combine_decays(
-    found: Identification, fitted: Sequence[FittedDecay], main: int
-) -> tuple[Identification, tuple[FittedDecay, ...]]:
+def without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
+    """Decays but those that are more probably held by a hand than free."""
+    held = held_decays([_strongest_value(one) for one in fitted])
+    return tuple(one for k, one in enumerate(fitted) if k not in held)
+
+
+def _strongest_value(one: FittedDecay) -> DecayValue:
+    """Values of the strongest mode of a decay, without the part of their sd that only sampling shows."""
+    fit, index = one.model.fit, one.model.strongest
+    pole = complex(fit.poles[index])
+    sd = fit.pole_sd[index] * noise_level(one.model, None, index).factor / abs(pole)
+    hz = float(frequency_hz(pole))
+    return DecayValue(
+        one.onset.fit_from_s,
+        hz,
+        hz * float(sd[1]),
+        float(damping_ratio(pole)),
+        float(sd[0]),
+        float(np.max(np.abs(one.amplitudes[index]))),
+    )
+
+
+def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
     """Identification of the decay with index `main`, its modes combined with their values in the other free decays.
 
     The combination is a random-effects mean, so that the scatter between decays (a clamp that settles, amplitudes that
     differ) is part of the standard deviations. Shapes, amplitudes, flags and the dependence on amplitude remain those
-    of the main decay. Also returned are the decays that are held, which are not combined.
+    of the main decay.
     """
-    strongest = found.target or max(found.modes, key=lambda mode: mode.amplitude, default=None)
-    if len(fitted) < 2 or strongest is None:
-        return found, ()
-    values_of = {id(mode): _values_of(mode, fitted, main) for mode in found.modes}
-    held = held_decays(values_of[id(strongest)], main)
+    if len(fitted) < 2:
+        return found
     modes, used = [], 0
     for mode in found.modes:
-        values = [one for k, one in enumerate(values_of[id(mode)]) if one is not None and k not in held]
+        values = [one for one in _values_of(mode, fitted, main) if one is not None]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
-    one_alone = "the values are those of the most informative decay, since no other free one shows its modes."
+    one_alone = "the values are those of the most informative decay, since no other one shows its modes."
     several = (
         f"the values of up to {used} of them that show the same mode are combined, and the scatter between them "
         "is part of the standard deviations."
     )
     note = (
-        f"The record contains {len(fitted)} decays; {one_alone if used < 2 else several} Figures show the decay from "
-        f"{found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
+        f"The record contains {len(fitted)} free decays; {one_alone if used < 2 else several} Figures show the decay "
+        f"from {found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
     )
-    return replace(found, modes=tuple(modes), notes=(*found.notes, note)), tuple(fitted[k] for k in held)
+    return replace(found, modes=tuple(modes), notes=(*found.notes, note))
 
 
 def _values_of(mode: IdentifiedMode, fitted: Sequence[FittedDecay], main: int) -> list[DecayValue | None]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.results import DecayValue
+from modal_id.segments import held_density
 
 
 @dataclass(frozen=True)
@@ -18,18 +19,16 @@ class Tuning:
     held: float = 0.1
     #: [1] sd of the logarithm of the damping ratio between free decays of one structure
     between: float = 0.3
-    #: [1] least ratio by which a hand increases the damping ratio
-    least_ratio: float = 1.5
-    #: [1] largest ratio by which it does
-    #: physics: A free decay of 0.5 % that is held at half the critical damping.
-    most_ratio: float = 100.0
+    #: [1] relative distance of frequencies within which two decays show the same motion
+    #: convention: A hand shifts the frequency, too.
+    same: float = 0.05
 
 
 TUNING = Tuning()
 
 
 def held_odds(free: DecayValue, other: DecayValue) -> float:
-    """Odds that a decay is held, where `free` is the record's most informative decay of the same mode.
+    """Odds that a decay is held, where `free` is an earlier one of the same motion.
 
     Parameters
     ----------
@@ -45,7 +44,7 @@ def held_odds(free: DecayValue, other: DecayValue) -> float:
     Notes
     -----
     The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter `between` of
-    clamps that settle; if one is held, it is uniform between the two ratios of the tuning.
+    clamps that settle; if one is held, it has `held_density`.
     """
     if other.start_s < free.start_s or not other.amplitude < free.amplitude:
         return 0.0
@@ -55,17 +54,16 @@ def held_odds(free: DecayValue, other: DecayValue) -> float:
     own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
     sd = float(np.linalg.norm([*own, TUNING.between]))
     same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
-    low, high = np.log(TUNING.least_ratio), np.log(TUNING.most_ratio)
-    more = (1.0 if low < ratio < high else 0.0) / (high - low)
+    more = held_density(free.damping_ratio, other.damping_ratio)
     odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
     return float(odds) if np.isfinite(odds) else 0.0
 
 
-def held_decays(values: Sequence[DecayValue | None], main: int) -> tuple[int, ...]:
-    """Indices of the decays that are more probably held than free; `values` of the main decay's strongest mode."""
-    free = values[main]
-    if free is None:
-        return ()
-    return tuple(
-        k for k, one in enumerate(values) if one is not None and k != main and held_odds(free, one) > 1.0
-    )
+def held_decays(values: Sequence[DecayValue]) -> tuple[int, ...]:
+    """Indices of the decays that are more probably held than free; `values` are those of the strongest mode of each."""
+    found = []
+    for k, one in enumerate(values):
+        earlier = (free for free in values if abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same)
+        if any(held_odds(free, one) > 1.0 for free in earlier):
+            found.append(k)
+    return tuple(found)

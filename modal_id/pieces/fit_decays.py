@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from modal_id.data import Prepared
 from modal_id.modes import FittedDecay
-from modal_id.pieces.fit_pieces import PieceFitter
+from modal_id.pieces.fit_pieces import Piece, PieceFitter
 from modal_id.pieces.spread import with_spread
 from modal_id.record import Segment
-from modal_id.segments import RecordParts, holds_a_decay, record_start
+from modal_id.segments import RecordParts, holds_a_decay, keeps_amplitude, record_start
 from tracker import DisplacementSeries
 
 
@@ -55,7 +56,9 @@ def fit_decays(
     """
     fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz, named_hz)
     splits = 0 if whole else TUNING.most_splits
-    pieces = [one for decay in parts.decays for one in fitter.pieces(decay.onset, decay.end_s, splits)]
+    pieces: list[Piece] = []
+    for decay in parts.decays:
+        pieces += _with_drives(tuple(fitter.pieces(decay.onset, decay.end_s, splits)))
     segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]
     segments += [click for one in pieces if one.fit is not None for click in one.fit.clicks]
     decays = [one.fit for one in pieces if one.fit is not None and one.segment.kind != "driven"]
@@ -67,6 +70,17 @@ def fit_decays(
         decays, segments = _rough_decay(fitter.rough, segments)
     reasons = tuple(dict.fromkeys(one.reason for one in pieces if one.reason))
     return DecayFits(tuple(decays), tuple(driven), tuple(segments), reasons)
+
+
+def _with_drives(pieces: tuple[Piece, ...]) -> list[Piece]:
+    """The pieces of a divided decay in order of time; a steady one before a change is driven."""
+    found = list(pieces)
+    for k, (one, follows) in enumerate(pairwise(pieces)):
+        model = None if follows.fit is None else follows.fit.model
+        if one.fit is not None and keeps_amplitude(one.fit.model, model):
+            note = "The motion is steady until it changes."
+            found[k] = replace(one, segment=replace(one.segment, kind="driven", note=note))
+    return found
 
 
 def _driven_stretches(

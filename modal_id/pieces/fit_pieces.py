@@ -29,7 +29,6 @@ from modal_id.segments import (
     changed_onset,
     click_segments,
     from_largest_deflection,
-    keeps_amplitude,
     locate_boundary,
     no_line,
     without_clicks,
@@ -121,7 +120,7 @@ class PieceFitter:
             left = misfit(one.model, self._omissions(one.model, one.moving))
             interruption = self._interruption(one) if splits > 0 else None
             if interruption is None and (left.share < TUNING.most_left or _is_one_curve(one.model)):
-                yield Piece(_explained(one, follows=bool(waiting)), one)
+                yield Piece(Segment("decay", one.onset.time_s, one.end_s, one.onset.note), one)
                 continue
             change, least = interruption, TUNING.fewest_cycles
             if interruption is None:
@@ -258,13 +257,6 @@ def _divided(one: FittedDecay, change: Boundary) -> list[tuple[Onset, float]]:
     origin_s = one.onset.fit_from_s
     after = changed_onset(origin_s + change.start_s, change.sd_s)
     return [(one.onset, origin_s + change.end_s), (after, one.end_s)]
-
-
-def _explained(one: FittedDecay, *, follows: bool) -> Segment:
-    """Segment of a piece that free decays explain; a steady one before a change is driven."""
-    if follows and keeps_amplitude(one.model):
-        return Segment("driven", one.onset.time_s, one.end_s, "The motion is steady until it changes.")
-    return Segment("decay", one.onset.time_s, one.end_s, one.onset.note)
 
 
 def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:

@@ -79,6 +79,8 @@ def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None
     if count < 2:
         return Misfit(0.0, 0.0, 0.0)
     time_s = data.time_s[: count * length].reshape(count, length)
+    # Coloured noise has more power at the modes than white noise.
+    coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in _strongest_hz(model).tolist()))
     excess, moved = np.zeros(count), np.zeros(count)
     for first in range(0, count, max(1, _BLOCK // length)):
         block = slice(first, min(first + max(1, _BLOCK // length), count))
@@ -96,7 +98,7 @@ def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None
             freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
             noise = (total - inside) / freedom
             own = np.maximum(
-                inside - TUNING.noise * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0
+                inside - TUNING.noise * coloured * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0
             )
             excess[block] += np.where(freedom > 1, own, 0.0) / variance
             moved[block] += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance

@@ -7,11 +7,12 @@ from .divide import RecordParts as RecordParts
 from .divide import divide as divide
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_RISE as PRIOR_AFTER_RISE
-from .drive_odds import PRIOR_BEFORE_CHANGE as PRIOR_BEFORE_CHANGE
 from .drive_odds import drive_probability as drive_probability
+from .drive_odds import held_density as held_density
 from .drive_odds import is_driven as is_driven
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
+from .drive_odds import prior_before as prior_before
 from .envelope import short_time as short_time
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset

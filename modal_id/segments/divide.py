@@ -10,7 +10,7 @@ import numpy as np
 from modal_id.data import FitData, detrended
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import dominant_hz
-from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, PRIOR_BEFORE_CHANGE, is_rather_driven
+from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
@@ -264,7 +264,7 @@ class _Division:
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
-            onset = self._stop(piece.start_s, end_s)
+            onset = self._stop(piece.start_s, end_s, prior)
             if onset is not None:
                 self._add("driven", piece.start_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
@@ -284,27 +284,33 @@ class _Division:
             )
         return continued_onset(piece.before)
 
-    def _stop(self, start_s: float, end_s: float) -> Onset | None:
+    def _stop(self, start_s: float, end_s: float, prior: float) -> Onset | None:
         if not self._may_hold_steady(start_s, end_s):
             return None
         part = self.data.between(start_s, end_s)
         found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base)
         if found is None:
             return None
-        driving = _Piece(start_s, start_s + found.time_s, None)
-        if not self._keeps_amplitude(driving) or not self._is_driven(driving):
+        driving, found = _Piece(start_s, start_s + found.time_s, None), _shifted(found, start_s)
+        free = self.thin.between(found.fit_from_s, end_s)
+        if not self._keeps_amplitude(driving) or not self._is_driven(driving, free, prior):
             return None
-        return _shifted(found, start_s)
+        return found
 
-    def _is_driven(self, piece: _Piece) -> bool:
+    def _is_driven(self, piece: _Piece, follows: FitData, prior: float) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
         late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         if few or late.time_s.size < TUNING.least_rows:
             return True
-        if not is_rather_driven(
-            probability_of_drive(late, self.frequency_hz, self.lowest_hz, PRIOR_BEFORE_CHANGE)
-        ):
+        probability = probability_of_drive(
+            late,
+            self.frequency_hz,
+            self.lowest_hz,
+            prior,
+            follows if follows.time_s.size >= TUNING.least_rows else late,
+        )
+        if not is_rather_driven(probability):
             return False
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 

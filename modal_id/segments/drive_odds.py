@@ -27,6 +27,11 @@ class Tuning:
     least_damping: float = 1e-5
     #: [1] largest damping ratio of a motion that oscillates
     most_damping: float = 0.5
+    #: [1] least ratio by which a hand increases the damping ratio
+    held_ratio: float = 1.5
+    #: [1] largest damping ratio of a motion that is held
+    #: physics: Above it there is no oscillation to identify.
+    held_most: float = 0.7
     #: [1] probability from which a motion without further evidence is called driven
     #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
     sure: float = 0.95
@@ -35,7 +40,7 @@ class Tuning:
 TUNING = Tuning()
 
 # Probabilities of a drive before the change of its amplitude is seen.
-PRIOR, PRIOR_AFTER_RISE, PRIOR_BEFORE_CHANGE = TUNING.prior, TUNING.after_rise, TUNING.before_change
+PRIOR, PRIOR_AFTER_RISE = TUNING.prior, TUNING.after_rise
 
 
 def drive_probability(change: float, sd: float, radians: float, prior: float = PRIOR) -> float:
@@ -70,6 +75,31 @@ def drive_probability(change: float, sd: float, radians: float, prior: float = P
     mass = np.diff(ndtr((edges - change) / sd)) / np.diff(edges) * np.diff(np.log(edges))
     free = float(np.sum(mass)) / float(np.log(TUNING.most_damping / TUNING.least_damping))
     return prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
+
+
+def held_density(free: float, zeta: float) -> float:
+    """Probability density of ln zeta of a motion that is held, whose damping ratio is otherwise `free`.
+
+    Uniform from a least ratio to the largest damping ratio; 0 outside.
+    """
+    least = TUNING.held_ratio * max(free, TUNING.least_damping)
+    if not least < zeta < TUNING.held_most:
+        return 0.0
+    return 1.0 / float(np.log(TUNING.held_most / least))
+
+
+def prior_before(free: float, follows: float, prior: float = PRIOR) -> float:
+    """Probability that a motion is driven, before another at the same frequency with the damping ratio `follows`.
+
+    A drive stops, and the structure has any damping ratio; or a hand holds a free motion with the damping ratio `free`.
+    What is neither, a pluck for instance, is as likely after a drive as a stop. `prior` is the probability of a drive
+    where nothing of what follows is known.
+    """
+    odds = prior / (1.0 - prior) * TUNING.before_change / (1.0 - TUNING.before_change)
+    held = held_density(free, follows)
+    if held > 0.0:
+        odds /= held * float(np.log(TUNING.most_damping / TUNING.least_damping))
+    return odds / (1.0 + odds)
 
 
 def is_rather_driven(probability: float) -> bool:

@@ -8,8 +8,12 @@ import numpy as np
 
 from modal_id.data import FitData
 from modal_id.fit import ModalFit, find_modes
-from modal_id.segments.drive_odds import PRIOR_BEFORE_CHANGE, drive_probability, is_rather_driven
-from modal_id.solve import PoleFit, Problem, fit_poles, frequency_hz
+from modal_id.segments.drive_odds import (
+    drive_probability,
+    is_rather_driven,
+    prior_before,
+)
+from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
 from tracker import BoolArray
 
 
@@ -41,13 +45,22 @@ TUNING = Tuning()
 _DECAY_SD = 3.0
 
 
-def probability_of_drive(data: FitData, line_hz: float, lowest_hz: float, prior: float) -> float:
+def probability_of_drive(
+    data: FitData, line_hz: float, lowest_hz: float, prior: float, follows: FitData | None = None
+) -> float:
     """Probability that the line at this frequency is driven, from the change of its amplitude over the data.
 
     All modes are fitted, because the residual of a weaker mode would hide a slow decay. 0 where the fit fails.
+    `follows` is the motion after a change.
     """
     data, fit, index = _line(data, line_hz, lowest_hz)
-    return _probability(data, fit, index, prior) if fit.converged else 0.0
+    if not fit.converged:
+        return 0.0
+    if follows is not None:
+        _, after, line = _line(follows, line_hz, lowest_hz)
+        free, later = (float(damping_ratio(complex(f.poles[k]))) for f, k in ((fit, index), (after, line)))
+        prior = prior_before(free, later if after.converged else free, prior)
+    return _probability(data, fit, index, prior)
 
 
 def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -87,9 +100,15 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
     return data, fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start), 0
 
 
-def keeps_amplitude(model: ModalFit) -> bool:
-    """Whether the strongest mode of a fit, before another motion, is rather driven than free."""
-    return is_rather_driven(_probability(model.data, model.fit, model.strongest, PRIOR_BEFORE_CHANGE))
+def keeps_amplitude(model: ModalFit, follows: ModalFit | None) -> bool:
+    """Whether the strongest mode of a fit is rather driven than free, before another motion, where that has a fit."""
+    pole, index = complex(model.fit.poles[model.strongest]), model.strongest
+    free = later = float(damping_ratio(pole))
+    if follows is not None:
+        near = np.abs(frequency_hz(follows.fit.poles) / float(frequency_hz(pole)) - 1.0)
+        if np.min(near) < TUNING.same_line:
+            later = float(damping_ratio(complex(follows.fit.poles[int(np.argmin(near))])))
+    return is_rather_driven(_probability(model.data, model.fit, index, prior_before(free, later)))
 
 
 def close_modes(model: ModalFit) -> BoolArray:

@@ -20,7 +20,7 @@ from modal_id import (
     identify_free_decay,
 )
 from modal_id.fit import nyquist_hz
-from modal_id.segments import PRIOR_BEFORE_CHANGE, drive_probability, is_rather_driven
+from modal_id.segments import drive_probability, is_rather_driven, prior_before
 from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
@@ -198,7 +198,9 @@ def _drive_probability(mode: FoundMode, length_s: float) -> float:
     radians = 2.0 * np.pi * mode.frequency_hz * length_s
     # the sd of a normal density with this 90 % interval
     sd = (mode.interval[1] - mode.interval[0]) / (2.0 * 1.645)
-    return drive_probability(mode.damping_ratio * radians, sd * radians, radians, PRIOR_BEFORE_CHANGE)
+    # what follows is not known
+    prior = prior_before(mode.damping_ratio, mode.damping_ratio)
+    return drive_probability(mode.damping_ratio * radians, sd * radians, radians, prior)
 
 
 def stabilisation(found: Identification) -> tuple[Pole, ...]:
