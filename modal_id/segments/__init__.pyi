@@ -12,7 +12,6 @@ from .drive_odds import held_density as held_density
 from .drive_odds import is_driven as is_driven
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
-from .drive_odds import prior_before as prior_before
 from .envelope import short_time as short_time
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset

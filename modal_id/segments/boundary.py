@@ -56,7 +56,7 @@ class Boundary:
 
 
 @dataclass(frozen=True)
-class _Motion:
+class Motion:
     """Damped waves about an offset: poles (m,), amplitudes (m, k), offset (k,) and noise variance (k,).
 
     The amplitudes are those at the first of the two times between which the waves were fitted.
@@ -105,11 +105,11 @@ def locate_boundary(
         if round_ == 0 or (found is not None and found.end_s != low):
             low = limits_s[0] if found is None else found.end_s
             start_s = max(begin_s, low - TUNING.side_cycles * cycle_s)
-            before = _motion(data, start_s, low, cycle_s, lowest_hz, last=True)
+            before = motion_beside(data, start_s, low, cycle_s, lowest_hz, last=True)
         if round_ == 0 or (found is not None and found.start_s != high):
             high = limits_s[1] if found is None else found.start_s
             end_s = min(until_s, high + TUNING.side_cycles * cycle_s)
-            after = _motion(data, high, end_s, cycle_s, lowest_hz, last=False)
+            after = motion_beside(data, high, end_s, cycle_s, lowest_hz, last=False)
         if before is None and after is None:
             break
         found = _meeting(data.rows(zone), before, after, limits_s)
@@ -122,9 +122,9 @@ def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
     return np.asarray((data.time_s >= start_s - 1e-12) & (data.time_s <= end_s + 1e-12))
 
 
-def _motion(
+def motion_beside(
     data: FitData, start_s: float, end_s: float, cycle_s: float, lowest_hz: float, *, last: bool
-) -> _Motion | None:
+) -> Motion | None:
     """Motion between two times; its offset is that of the last, or first, two cycles. None where they are too near."""
     rows = _between(data, start_s, end_s) & np.any(data.weights > 0.0, axis=1)
     if np.count_nonzero(rows) < TUNING.least_rows or end_s - start_s < TUNING.least_cycles * cycle_s:
@@ -138,9 +138,7 @@ def _motion(
     if model is not None:
         poles, weights = model.fit.poles, model.data.weights
         amplitudes = np.asarray(model.fit.linear.amplitudes)
-    waves = _Motion(
-        poles, amplitudes, (origin, float(part.time_s[-1])), np.zeros(channels), np.ones(channels)
-    )
+    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), np.zeros(channels), np.ones(channels))
     left = part.values - waves.at(part.time_s)[0]
     edge = float(part.time_s[-1]) if last else origin
     near = np.where(np.abs(part.time_s - edge)[:, None] < 2.0 * cycle_s, weights, 0.0)
@@ -148,13 +146,13 @@ def _motion(
     square = np.sum(near * (left - offset) ** 2, axis=0)
     freedom = np.maximum(np.count_nonzero(near, axis=0) - 1.0, 1.0)
     own = np.zeros(channels) if model is None else model.fit.linear.noise_variance
-    return _Motion(
+    return Motion(
         poles, amplitudes, waves.span_s, offset, np.maximum(np.maximum(square / freedom, own), 1e-300)
     )
 
 
 def _meeting(
-    zone: FitData, before: _Motion | None, after: _Motion | None, limits_s: tuple[float, float]
+    zone: FitData, before: Motion | None, after: Motion | None, limits_s: tuple[float, float]
 ) -> Boundary:
     """The times of least cost: the first motion up to one, the second from the other on, anything between.
 

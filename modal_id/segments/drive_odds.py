@@ -16,8 +16,6 @@ class Tuning:
     prior: float = 0.5
     #: [1] the same after the amplitude rose abruptly: a pluck, or a drive that starts
     after_rise: float = 0.02
-    #: [1] the same before the motion changes: a drive stops, or a hand does
-    before_change: float = 0.8
     #: [1] half width at half maximum of the change of the logarithm of a drive's amplitude
     drive_change: float = 0.005
     #: [1] sd of the change of the log amplitude above which it tells nothing of a drive
@@ -92,10 +90,9 @@ def prior_before(free: float, follows: float, prior: float = PRIOR) -> float:
     """Probability that a motion is driven, before another at the same frequency with the damping ratio `follows`.
 
     A drive stops, and the structure has any damping ratio; or a hand holds a free motion with the damping ratio `free`.
-    What is neither, a pluck for instance, is as likely after a drive as a stop. `prior` is the probability of a drive
-    where nothing of what follows is known.
+    What cannot be a hand says nothing. `prior` is the probability of a drive where what follows is not known.
     """
-    odds = prior / (1.0 - prior) * TUNING.before_change / (1.0 - TUNING.before_change)
+    odds = prior / (1.0 - prior)
     held = held_density(free, follows)
     if held > 0.0:
         odds /= held * float(np.log(TUNING.most_damping / TUNING.least_damping))

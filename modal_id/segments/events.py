@@ -13,7 +13,7 @@ import numpy as np
 
 from modal_id.data import FitData, baseline_splines, detrended, rough_variance
 from modal_id.fit import find_modes
-from modal_id.segments.boundary import locate_boundary
+from modal_id.segments.boundary import locate_boundary, motion_beside
 from modal_id.segments.envelope import short_time
 from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
 from modal_id.solve import ModeColumns, Problem, fit_poles, solve_linear
@@ -41,6 +41,8 @@ class Tuning:
     slow: float = 0.25
     #: [1] relative difference from the dominant line within which a fitted decay is that line
     same_line: float = 0.1
+    #: [cycles] length of a candidate up to which the motions beside it are extrapolated across it
+    short_cycles: float = 3.0
     #: [1] ratio of a step of the offset to the range of slow motion above which it counts as a step
     wobble: float = 1.5
     #: [cycles] nearest cycles of either side between which a step is measured
@@ -162,6 +164,11 @@ def _confirmed(
     sides = [_side(data.rows(rows), frequency_hz, one.time_s) for rows in (before, after)]
     if _rises_from_rest(sides, noise):
         return _boundary(sides[0], sides[1], one, noise)
+    beside = _beside(data, noise, one, (begin_s, until_s), frequency_hz, lowest_hz)
+    if beside == "goes on":
+        return None
+    if beside == "changes" and (found := _boundary(sides[0], sides[1], one, noise)) is not None:
+        return found
     piece = _between(data, begin_s, until_s)
     left_out = np.where(inside[:, None], 0.0, data.weights)
     # Where the candidate is most of the piece, the remaining samples do not determine decays across it.
@@ -178,12 +185,50 @@ def _confirmed(
         if not _goes_on(data, ((begin_s, one.start_s), (one.end_s, until_s)), frequency_hz, lowest_hz):
             break
         square = data.weights * (whole / noise) ** 2
-        beside = max(float(np.mean(square[before | after])), 1.0)
-        if not np.any(inside) or np.mean(square[inside]) < BURST * beside:
+        quiet = max(float(np.mean(square[before | after])), 1.0)
+        if not np.any(inside) or np.mean(square[inside]) < BURST * quiet:
             return None
         if weights is left_out:
             return Event("burst", one.start_s, one.end_s)
     return _boundary(sides[0], sides[1], one, noise)
+
+
+def _beside(
+    data: FitData,
+    noise: FloatArray,
+    one: EventCandidate,
+    span_s: tuple[float, float],
+    frequency_hz: float,
+    lowest_hz: float,
+) -> Literal["goes on", "changes", "unknown"]:
+    """Whether the motions of a dozen cycles on both sides of a candidate, extrapolated, explain it, or each other.
+
+    Neither where they describe their own side badly, as close modes do, or the candidate is long.
+    """
+    cycle_s = 1.0 / frequency_hz
+    if (one.end_s - one.start_s) * frequency_hz > TUNING.short_cycles:
+        return "unknown"
+    near_s, reach_s = TUNING.near_cycles * cycle_s, TUNING.side_cycles * cycle_s
+    spans = (
+        (max(span_s[0], one.start_s - reach_s), one.start_s),
+        (one.end_s, min(span_s[1], one.end_s + reach_s)),
+    )
+    motions = [motion_beside(data, *span, cycle_s, lowest_hz, last=k == 0) for k, span in enumerate(spans)]
+    wanted = (one.start_s, one.end_s + near_s), (one.start_s - near_s, one.end_s)
+    good = True
+    for motion, (start_s, end_s) in zip(motions, wanted, strict=True):
+        if motion is None:
+            return "unknown"
+        rows = _between(data, max(start_s, span_s[0]), min(end_s, span_s[1]))
+        values, size = motion.at(data.time_s[rows])
+        variance = np.maximum(motion.variance, noise**2)
+        weights = data.weights[rows] / variance
+        left = float(np.sum(weights * (data.values[rows] - values) ** 2))
+        left -= TUNING.noise_square * np.count_nonzero(weights)
+        if left < TUNING.explained_share * float(np.sum(weights * 0.5 * size**2)):
+            return "goes on"
+        good &= bool(np.all(motion.variance < TUNING.noise_square * noise**2))
+    return "changes" if good else "unknown"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from modal_id import (
     identify_free_decay,
 )
 from modal_id.fit import nyquist_hz
-from modal_id.segments import drive_probability, is_rather_driven, prior_before
+from modal_id.segments import drive_probability, may_be_driven
 from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
@@ -178,7 +178,7 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
     A part of a record that is driven passes for a slow decay where the decay after it is not seen.
     """
     length_s = decay.span_s[1] - decay.span_s[0]
-    slow = [m for m in decay.modes if is_rather_driven(_drive_probability(m, length_s))]
+    slow = [m for m in decay.modes if may_be_driven(_drive_probability(m, length_s))]
     nan = float("nan")
     modes = tuple(
         replace(m, damping_ratio=nan, interval=(nan, nan), flags=(*m.flags, ModeFlag.DRIVEN.name))
@@ -198,9 +198,7 @@ def _drive_probability(mode: FoundMode, length_s: float) -> float:
     radians = 2.0 * np.pi * mode.frequency_hz * length_s
     # the sd of a normal density with this 90 % interval
     sd = (mode.interval[1] - mode.interval[0]) / (2.0 * 1.645)
-    # what follows is not known
-    prior = prior_before(mode.damping_ratio, mode.damping_ratio)
-    return drive_probability(mode.damping_ratio * radians, sd * radians, radians, prior)
+    return drive_probability(mode.damping_ratio * radians, sd * radians, radians)
 
 
 def stabilisation(found: Identification) -> tuple[Pole, ...]:
