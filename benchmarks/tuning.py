@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +88,12 @@ def modules() -> list[str]:
     return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
 
 
-def constants(module: str) -> list[Constant]:
+@cache
+def constants(module: str) -> tuple[Constant, ...]:
     """Thresholds of one module in their order."""
     tuning = importlib.import_module(module).Tuning
     said = stated(inspect.getsource(tuning))
-    return [Constant(module, f.name, f.default, *said[f.name]) for f in fields(tuning)]
+    return tuple(Constant(module, f.name, f.default, *said[f.name]) for f in fields(tuning))
 
 
 def stated(source: str) -> dict[str, tuple[str, str, str, str]]:
@@ -157,15 +159,18 @@ def page(measured: dict[tuple[str, str, float], dict[str, str]]) -> str:
     return "\n".join([_HEAD, total, "", "\n\n".join(tables), ""])
 
 
+@cache
+def _copied(module: str) -> frozenset[str]:
+    """Fields of a `Tuning` that the module copies at its own level; a module is read once for all of its fields."""
+    tree = ast.parse((ROOT / (module.replace(".", "/") + ".py")).read_text(encoding="utf-8"))
+    copied = (node for node in tree.body if isinstance(node, ast.Assign))
+    parts = (part for node in copied for part in ast.walk(node.value))
+    return frozenset(part.attr for part in parts if isinstance(part, ast.Attribute))
+
+
 def frozen(constant: Constant) -> bool:
     """Whether a compiled kernel holds the value: it is then copied at the module's level."""
-    tree = ast.parse((ROOT / (constant.module.replace(".", "/") + ".py")).read_text(encoding="utf-8"))
-    copied = (node for node in tree.body if isinstance(node, ast.Assign))
-    return any(
-        isinstance(part, ast.Attribute) and part.attr == constant.name
-        for node in copied
-        for part in ast.walk(node.value)
-    )
+    return constant.name in _copied(constant.module)
 
 
 def measure(out: Path, chosen: str) -> None:

@@ -37,13 +37,20 @@ SHARED = (
 
 
 @cache
+def statements(path):
+    """Imports of a file, which is parsed and searched once for all tests."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return tuple(node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
+
+
+@cache
 def imported(path):
     """Full names of the modules and objects that a file imports."""
     names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(path):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{path}: relative import; write the full name"
             names += [defined(node.module, alias.name) for alias in node.names]
     return tuple(names)
@@ -121,7 +128,7 @@ def test_the_order_of_the_folders_cannot_be_passed_by(package):
     wrong = [
         f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
         for path in files(package)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in statements(path)
         if isinstance(node, ast.ImportFrom) and through_a_door_around(path, node.module)
         for alias in node.names
         if alias.name != "__version__" and not is_module(f"{node.module}.{alias.name}")
@@ -133,9 +140,7 @@ def test_the_order_of_the_folders_cannot_be_passed_by(package):
 def test_other_folders_are_entered_through_their_doors(folder):
     wrong = []
     for path in files(folder):
-        nodes = [
-            n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)
-        ]
+        nodes = [n for n in statements(path) if isinstance(n, ast.ImportFrom)]
         wrong += [
             f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
             for node in nodes
