@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from kit import films as media
-from kit.series import decay
+from kit.series import QUICK, decay
 
 from modal_id import IdentifySettings, identify
 from tracker import TrackerSettings, displacement_series, flags, track
@@ -48,7 +48,7 @@ def test_the_part_in_slow_motion_is_identified(playback, fps, tmp_path):
     assert np.allclose(tracks.time_s[~left_out], time_s[~left_out], rtol=2e-5, atol=2e-5)
     series = displacement_series(tracks)
     assert np.isnan(series.values[left_out]).all()
-    found = identify(series, IdentifySettings(seed=1))
+    found = identify(series, IdentifySettings(seed=1, sampler=QUICK))
     assert found
     (mode,) = found.modes
     assert abs(mode.frequency_hz - FREQUENCY_HZ) < 3.0 * mode.frequency_sd_hz, f"{FREQUENCY_HZ} Hz: {mode}"

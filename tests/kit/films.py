@@ -154,9 +154,14 @@ def write(
 
 def first_frames(source, path, count):
     """Copy the first coded frames of a film as they are, with their time stamps; `count` of them."""
+    return part(source, path, 0, count)
+
+
+def part(source, path, start, stop=None):
+    """Copy coded frames of a film as they are, from a key frame on."""
     with av.open(str(source)) as film, av.open(str(path), "w") as container:
         stream = container.add_stream_from_template(film.streams.video[0])
-        for packet in islice((p for p in film.demux(video=0) if p.dts is not None), count):
+        for packet in islice((p for p in film.demux(video=0) if p.dts is not None), start, stop):
             packet.stream = stream
             container.mux(packet)
     return path
