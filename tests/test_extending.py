@@ -35,6 +35,10 @@ def plugins(tmp_path):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
+    # Figures take most of the time of a report; the plugin loaded after it adds the only one.
+    (folder / "no_figures.py").write_text(
+        "from modalcam.report.figures import FIGURES\n\nFIGURES.clear()\n", encoding="utf-8"
+    )
     distribution = folder / "longest-1.0.dist-info"
     distribution.mkdir()
     (distribution / "METADATA").write_text(
@@ -77,7 +81,8 @@ def test_all_plugins_reach_the_report(tmp_path, plugins):
     videos.mkdir()
     write_clip(videos / "take.npy")
     (videos / "experiment.toml").write_text(SETTINGS.lstrip(), encoding="utf-8")
-    run(plugins, "run", videos, "-o", out, "--jobs", "1", *(x for n in PLUGINS for x in ("--plugin", n)))
+    names = ("no_figures", *PLUGINS)
+    run(plugins, "run", videos, "-o", out, "--jobs", "1", *(x for n in names for x in ("--plugin", n)))
     report = (out / "report.html").read_text(encoding="utf-8")
     # The reader by its codec, the kind by its marker's name, the damping law by its name and colour, the figure by its
     # title, the stage and the section by their sentence.
@@ -97,7 +102,8 @@ def test_a_series_is_read_in_the_format_of_a_plugin(tmp_path, plugins):
     decay = np.exp(-time_s) * np.cos(2 * np.pi * 10.2 * time_s)
     np.savez(tmp_path / "take.npz", time_s=time_s, displacement_mm=decay + noise)
     out = tmp_path / "out"
-    run(plugins, "identify", tmp_path / "take.npz", "-o", out, "--unit", "mm", "--plugin", "npz_series")
+    options = ("--unit", "mm", "--plugin", "no_figures", "--plugin", "npz_series")
+    run(plugins, "identify", tmp_path / "take.npz", "-o", out, *options)
     (mode,) = (load_run(out).recordings)[0].identification.modes
     assert mode.frequency_hz == pytest.approx(10.2, abs=0.01)
     assert "The series is read from a NumPy archive." in (out / "report.html").read_text(encoding="utf-8")

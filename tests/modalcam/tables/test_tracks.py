@@ -33,10 +33,10 @@ def test_parts_have_the_bytes_of_the_whole(tmp_path, monkeypatch, frames):
 
 def test_memory_is_that_of_a_part(tmp_path, monkeypatch):
     """Of a frame, the table takes 2 kB, its positions in mm 64 bytes, which are made for all frames at once."""
-    tracks = long_tracks(4_000)
+    tracks = long_tracks(2_000)
     tables.write_tracks(tmp_path / "tracks.csv", sample_tracks())  # imports
     peaks = []
-    for frames_at_once in (4_000, 200):
+    for frames_at_once in (2_000, 100):
         monkeypatch.setattr(tables, "_FRAMES_AT_ONCE", frames_at_once)
         tracemalloc.start()
         try:

@@ -13,10 +13,10 @@ from tracker import TrackerSettings, displacement_series, track
 VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
 
 
-def footage(tmp_path, view, frames=40):
-    # 40 frames are nine tenths of a cycle.
+def footage(tmp_path, view, frames=20):
+    # 20 frames are nine tenths of a cycle.
     recording = Recording(
-        "aruco", frames=frames, markers=6, frequency_hz=22.6, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0
+        "aruco", frames=frames, markers=6, frequency_hz=45.2, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0
     )
     images = recording.images()
     if view is not None:
