@@ -13,7 +13,15 @@ SHORT, LONG = 600, pytest.param(1500, marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize("frames", [SHORT, LONG])
-@pytest.mark.parametrize(("kind", "codec"), [("patch", "lossless"), ("dots", "MJPG"), ("aruco", "H.264")])
+@pytest.mark.parametrize(
+    ("kind", "codec"),
+    [
+        ("patch", "lossless"),
+        ("dots", "MJPG"),
+        # fast: the interval of a real film in H.264 in test_fork_prongs.py
+        pytest.param("aruco", "H.264", marks=pytest.mark.slow),
+    ],
+)
 def test_intervals_on_film_contain_the_truth(kind, codec, frames):
     """Damping and frequency of each film, at a false alarm of one in a thousand for each film."""
     limit = norm.isf(0.0005)

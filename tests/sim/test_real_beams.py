@@ -281,7 +281,8 @@ def numbers(row):
     return [float(value) for cell in row[1:] for value in cell.split(" ± ") if value]
 
 
-@pytest.mark.parametrize("name", ["errors", "posterior"])
+# Fast: one of the fits of the other table, in the test of two lengths and two modes.
+@pytest.mark.parametrize("name", ["errors", pytest.param("posterior", marks=pytest.mark.slow)])
 def test_cantilever_page_prints_the_computed_values(cantilever, cantilever_text, name):
     found = cantilever.measured_on(cantilever_text)
     printed, computed = (

@@ -19,7 +19,16 @@ def script():
     return module
 
 
-@pytest.mark.parametrize("part", ["statics", "small_vibration", "order_in_time", "large_motion"])
+@pytest.mark.parametrize(
+    "part",
+    [
+        "statics",
+        "small_vibration",
+        "order_in_time",
+        # fast: large motion against the same references in dynamics/test_simulate.py
+        pytest.param("large_motion", marks=pytest.mark.slow),
+    ],
+)
 def test_page_prints_the_computed_values(script, part):
     text = PAGE.read_text(encoding="utf-8")
     for figure in getattr(script, part)():

@@ -117,7 +117,7 @@ def film(name):
 
 LOSSLESS, H264 = ("ffv1", "mkv", {}), ("libx264", "mp4", {"crf": 23})
 CASES = [
-    ("a quarter of the rate", LOSSLESS),
+    pytest.param("a quarter of the rate", LOSSLESS, marks=pytest.mark.slow),
     ("small and slow", LOSSLESS),
     pytest.param("a quarter of the rate", H264, marks=pytest.mark.slow),
     pytest.param("small and slow", H264, marks=pytest.mark.slow),

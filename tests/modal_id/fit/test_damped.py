@@ -28,7 +28,7 @@ def record(rng, fps, frequency_hz, zeta, duration_s, noise):
         pytest.param(60.0, 19.5, 0.3, 1.0, 0.005, marks=pytest.mark.slow),
         pytest.param(100.0, 3.0, 0.5, 3.0, 0.003, marks=pytest.mark.slow),
         pytest.param(30.0, 10.0, 0.1, 0.8, 0.01, marks=pytest.mark.slow),
-        (22.67, 7.3, 0.02, 4.0, 0.05),
+        pytest.param(22.67, 7.3, 0.02, 4.0, 0.05, marks=pytest.mark.slow),
     ],
 )
 def test_the_decay_is_answered_near_the_bound(fps, frequency_hz, zeta, duration_s, noise):

@@ -63,7 +63,9 @@ def test_a_decay_faster_than_the_record_by_hundreds_is_fitted():
 
 
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 8), marks=pytest.mark.slow)], ids=str)
-@pytest.mark.parametrize("kind", ["white", "growing damping", "slow creep", "held first"])
+@pytest.mark.parametrize(
+    "kind", ["white", pytest.param("growing damping", marks=pytest.mark.slow), "slow creep", "held first"]
+)
 def test_none_is_invented(kind, seeds):
     """What a release, creep or an amplitude-dependent mode leave at the beginning is no mode of a cycle or two."""
     for seed in seeds:

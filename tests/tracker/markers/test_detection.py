@@ -350,7 +350,7 @@ def test_true_codes_look_like_their_print_even_when_small(size):
     assert min(found) > aruco.TUNING.least_likeness
 
 
-@pytest.mark.parametrize("diameter", [90.0, 180.0])
+@pytest.mark.parametrize("diameter", [90.0, pytest.param(180.0, marks=pytest.mark.slow)])
 def test_dots_of_up_to_200_px_are_detected(diameter):
     image = np.full((260, 700), 220.0)
     for x in (130.4, 440.7):

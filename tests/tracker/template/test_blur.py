@@ -38,10 +38,10 @@ def blurred_scene(request, tmp_path_factory):
 @pytest.mark.parametrize(
     ("blurred_scene", "exposure_s"),
     [
-        # fast: a dot under blur with a given exposure in test_accuracy.py
+        # fast: under blur with a given exposure, a dot in test_accuracy.py and a code in test_real_footage.py
         pytest.param("blob", 0.0009, marks=pytest.mark.slow),
         ("blob", None),
-        ("aruco", 0.0009),
+        pytest.param("aruco", 0.0009, marks=pytest.mark.slow),
         pytest.param("aruco", None, marks=pytest.mark.slow),
     ],
     indirect=["blurred_scene"],
