@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.results import DecayValue
-from modal_id.segments import held_density
+from modal_id.segments import BETWEEN_SD, held_density
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,6 @@ class Tuning:
 
     #: [1] probability, before it is seen, that a decay after another is held
     held: float = 0.1
-    #: [1] sd of the logarithm of the damping ratio between free decays of one structure
-    between: float = 0.3
     #: [1] relative distance of frequencies within which two decays show the same motion
     #: convention: A hand shifts the frequency, too.
     same: float = 0.05
@@ -43,8 +41,8 @@ def held_odds(free: DecayValue, other: DecayValue) -> float:
 
     Notes
     -----
-    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter `between` of
-    clamps that settle; if one is held, it has `held_density`.
+    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
+    that settle; if one is held, it has `held_density`.
     """
     if other.start_s < free.start_s or not other.amplitude < free.amplitude:
         return 0.0
@@ -52,7 +50,7 @@ def held_odds(free: DecayValue, other: DecayValue) -> float:
         return 0.0
     ratio = float(np.log(other.damping_ratio / free.damping_ratio))
     own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
-    sd = float(np.linalg.norm([*own, TUNING.between]))
+    sd = float(np.linalg.norm([*own, BETWEEN_SD]))
     same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
     more = held_density(free.damping_ratio, other.damping_ratio)
     odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)

@@ -5,6 +5,7 @@ from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
+from .drive_odds import BETWEEN_SD as BETWEEN_SD
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_RISE as PRIOR_AFTER_RISE
 from .drive_odds import drive_probability as drive_probability

@@ -308,7 +308,7 @@ class _Division:
             self.frequency_hz,
             self.lowest_hz,
             prior,
-            follows if follows.time_s.size >= TUNING.least_rows else late,
+            follows if follows.time_s.size >= TUNING.least_rows else None,
         )
         if not is_rather_driven(probability):
             return False

@@ -27,9 +27,14 @@ class Tuning:
     most_damping: float = 0.5
     #: [1] least ratio by which a hand increases the damping ratio
     held_ratio: float = 1.5
+    #: [1] least damping ratio of a motion that is held
+    #: physics: A hand damps by flesh and bone, not by friction in a metal.
+    held_least: float = 0.01
     #: [1] largest damping ratio of a motion that is held
     #: physics: Above it there is no oscillation to identify.
     held_most: float = 0.7
+    #: [1] sd of the logarithm of the damping ratio between free decays of one structure
+    between: float = 0.3
     #: [1] probability from which a motion without further evidence is called driven
     #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
     sure: float = 0.95
@@ -39,9 +44,12 @@ TUNING = Tuning()
 
 # Probabilities of a drive before the change of its amplitude is seen.
 PRIOR, PRIOR_AFTER_RISE = TUNING.prior, TUNING.after_rise
+BETWEEN_SD = TUNING.between
 
 
-def drive_probability(change: float, sd: float, radians: float, prior: float = PRIOR) -> float:
+def drive_probability(
+    change: float, sd: float, radians: float, prior: float = PRIOR, follows: float | None = None
+) -> float:
     """Posterior probability that a steady motion is driven.
 
     Parameters
@@ -54,6 +62,8 @@ def drive_probability(change: float, sd: float, radians: float, prior: float = P
         Phase through which the motion turns.
     prior : float
         Probability of a drive before its amplitude is seen.
+    follows : float or None
+        Damping ratio of the motion at the same frequency after a change, where there is one.
 
     Returns
     -------
@@ -64,39 +74,34 @@ def drive_probability(change: float, sd: float, radians: float, prior: float = P
     -----
     The change is normal with its standard deviation about 0 for a drive, whose own change has a Cauchy distribution,
     and about ``zeta radians`` for a decay, with the logarithm of zeta uniform between the damping ratios of structures.
+    After a drive that stops, the damping ratio is any of a structure. After a free motion it is that of the same
+    structure with the scatter between decays, or that of a motion that is held, both being equally likely.
     """
     if not np.all(np.isfinite([change, sd, radians])) or not 0.0 < sd < TUNING.known or radians <= 0.0:
         return 0.5
     driven = float(voigt_profile(change, sd, TUNING.drive_change))
-    edges = np.geomspace(TUNING.least_damping, TUNING.most_damping, 400) * radians
+    zeta = np.geomspace(TUNING.least_damping, TUNING.most_damping, 400)
+    edges, log_range = zeta * radians, float(np.log(TUNING.most_damping / TUNING.least_damping))
     # exact for a density that is constant in each cell, however narrow the normal density is
     mass = np.diff(ndtr((edges - change) / sd)) / np.diff(edges) * np.diff(np.log(edges))
-    free = float(np.sum(mass)) / float(np.log(TUNING.most_damping / TUNING.least_damping))
+    if follows is not None and follows > 0.0:
+        driven /= log_range
+        own = np.sqrt(zeta[1:] * zeta[:-1])
+        same = np.exp(-0.5 * (np.log(follows / own) / BETWEEN_SD) ** 2) / (BETWEEN_SD * np.sqrt(2.0 * np.pi))
+        mass = mass * 0.5 * (same + np.array([held_density(one, follows) for one in own.tolist()]))
+    free = float(np.sum(mass)) / log_range
     return prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
 
 
 def held_density(free: float, zeta: float) -> float:
     """Probability density of ln zeta of a motion that is held, whose damping ratio is otherwise `free`.
 
-    Uniform from a least ratio to the largest damping ratio; 0 outside.
+    Uniform up to the largest damping ratio; 0 below that of a hand, or a least ratio to the free one.
     """
-    least = TUNING.held_ratio * max(free, TUNING.least_damping)
+    least = max(TUNING.held_ratio * free, TUNING.held_least)
     if not least < zeta < TUNING.held_most:
         return 0.0
     return 1.0 / float(np.log(TUNING.held_most / least))
-
-
-def prior_before(free: float, follows: float, prior: float = PRIOR) -> float:
-    """Probability that a motion is driven, before another at the same frequency with the damping ratio `follows`.
-
-    A drive stops, and the structure has any damping ratio; or a hand holds a free motion with the damping ratio `free`.
-    What cannot be a hand says nothing. `prior` is the probability of a drive where what follows is not known.
-    """
-    odds = prior / (1.0 - prior)
-    held = held_density(free, follows)
-    if held > 0.0:
-        odds /= held * float(np.log(TUNING.most_damping / TUNING.least_damping))
-    return odds / (1.0 + odds)
 
 
 def is_rather_driven(probability: float) -> bool:

@@ -9,9 +9,9 @@ import numpy as np
 from modal_id.data import FitData
 from modal_id.fit import ModalFit, find_modes
 from modal_id.segments.drive_odds import (
+    PRIOR,
     drive_probability,
     is_rather_driven,
-    prior_before,
 )
 from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
 from tracker import BoolArray
@@ -56,11 +56,11 @@ def probability_of_drive(
     data, fit, index = _line(data, line_hz, lowest_hz)
     if not fit.converged:
         return 0.0
+    later = None
     if follows is not None:
         _, after, line = _line(follows, line_hz, lowest_hz)
-        free, later = (float(damping_ratio(complex(f.poles[k]))) for f, k in ((fit, index), (after, line)))
-        prior = prior_before(free, later if after.converged else free, prior)
-    return _probability(data, fit, index, prior)
+        later = float(damping_ratio(complex(after.poles[line]))) if after.converged else None
+    return _probability(data, fit, index, prior, later)
 
 
 def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -103,12 +103,12 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
 def keeps_amplitude(model: ModalFit, follows: ModalFit | None) -> bool:
     """Whether the strongest mode of a fit is rather driven than free, before another motion, where that has a fit."""
     pole, index = complex(model.fit.poles[model.strongest]), model.strongest
-    free = later = float(damping_ratio(pole))
+    later = None
     if follows is not None:
         near = np.abs(frequency_hz(follows.fit.poles) / float(frequency_hz(pole)) - 1.0)
         if np.min(near) < TUNING.same_line:
             later = float(damping_ratio(complex(follows.fit.poles[int(np.argmin(near))])))
-    return is_rather_driven(_probability(model.data, model.fit, index, prior_before(free, later)))
+    return is_rather_driven(_probability(model.data, model.fit, index, PRIOR, later))
 
 
 def close_modes(model: ModalFit) -> BoolArray:
@@ -134,10 +134,10 @@ def holds_a_decay(model: ModalFit) -> bool:
     return False
 
 
-def _probability(data: FitData, fit: PoleFit, index: int, prior: float) -> float:
+def _probability(data: FitData, fit: PoleFit, index: int, prior: float, follows: float | None) -> float:
     pole, span_s = complex(fit.poles[index]), data.span_s
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
-    return drive_probability(-pole.real * span_s, sd * span_s, abs(pole) * span_s, prior)
+    return drive_probability(-pole.real * span_s, sd * span_s, abs(pole) * span_s, prior, follows)
 
 
 def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:

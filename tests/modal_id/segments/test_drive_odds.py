@@ -39,6 +39,35 @@ def test_it_is_bayes_theorem(change, sd, radians, prior):
     assert drive_probability(change, sd, radians, prior) == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize("change", [0.0, 0.06, 0.3])
+@pytest.mark.parametrize("follows", [3e-4, 3e-3, 0.05, 0.3])
+def test_what_follows_a_change_is_evidence_too(change, follows):
+    """Both hypotheses with the damping ratio after the change, by a sum over 200 001 values of ln zeta."""
+    sd, radians = 0.01, 100.0
+    log_zeta = np.linspace(np.log(LEAST), np.log(MOST), 200_001)
+    driven = quad(
+        lambda true: norm.pdf(change, true, sd) * cauchy.pdf(true, 0.0, DRIVE_CHANGE),
+        min(change, 0.0) - 8 * sd,
+        max(change, 0.0) + 8 * sd,
+        points=[0.0, change],
+        limit=200,
+    )[0]
+    least = np.maximum(1.5 * np.exp(log_zeta), 0.01)
+    held = np.where((follows > least) & (follows < 0.7), 1.0 / np.log(0.7 / np.minimum(least, 0.69)), 0.0)
+    after = 0.5 * (norm.pdf(np.log(follows), log_zeta, 0.3) + held)
+    free = np.trapezoid(norm.pdf(change, np.exp(log_zeta) * radians, sd) * after, log_zeta)
+    # prior 0.5; the logarithm of the range of zeta is in both
+    expected = driven / (driven + free)
+    assert drive_probability(change, sd, radians, follows=follows) == pytest.approx(expected, abs=0.01)
+
+
+def test_a_steady_motion_before_a_light_decay_is_a_drive_and_before_a_hand_may_be_free():
+    """The decay's damping ratio, 0.3 %, would have shown before it; a hand's, 5 %, would not."""
+    assert is_driven(drive_probability(0.001, 0.001, 22.0, follows=0.003))
+    assert may_be_driven(drive_probability(0.065, 0.02, 180.0, follows=0.05))
+    assert drive_probability(0.065, 0.02, 180.0, follows=0.05) < 0.5
+
+
 def test_what_is_lost_precisely_is_a_decay_and_what_is_kept_a_drive():
     assert not may_be_driven(drive_probability(0.4, 0.002, 60.0))
     assert is_driven(drive_probability(0.0, 0.002, 560.0)), "the least damping of a structure would show 3 sd"
