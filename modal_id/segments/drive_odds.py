@@ -35,6 +35,8 @@ class Tuning:
     held_most: float = 0.7
     #: [1] sd of the logarithm of the damping ratio between free decays of one structure
     between: float = 0.3
+    #: [1] probability of any damping ratio after a free motion, neither its own nor a hand's
+    other: float = 0.2
     #: [1] probability from which a motion without further evidence is called driven
     #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
     sure: float = 0.95
@@ -75,7 +77,8 @@ def drive_probability(
     The change is normal with its standard deviation about 0 for a drive, whose own change has a Cauchy distribution,
     and about ``zeta radians`` for a decay, with the logarithm of zeta uniform between the damping ratios of structures.
     After a drive that stops, the damping ratio is any of a structure. After a free motion it is that of the same
-    structure with the scatter between decays, or that of a motion that is held, both being equally likely.
+    structure with the scatter between decays, or that of a motion that is held, which are equally likely; or, rarely,
+    any: a part that is too short to tell.
     """
     if not np.all(np.isfinite([change, sd, radians])) or not 0.0 < sd < TUNING.known or radians <= 0.0:
         return 0.5
@@ -88,7 +91,8 @@ def drive_probability(
         driven /= log_range
         own = np.sqrt(zeta[1:] * zeta[:-1])
         same = np.exp(-0.5 * (np.log(follows / own) / BETWEEN_SD) ** 2) / (BETWEEN_SD * np.sqrt(2.0 * np.pi))
-        mass = mass * 0.5 * (same + np.array([held_density(one, follows) for one in own.tolist()]))
+        held = np.array([held_density(one, follows) for one in own.tolist()])
+        mass = mass * (0.5 * (1.0 - TUNING.other) * (same + held) + TUNING.other / log_range)
     free = float(np.sum(mass)) / log_range
     return prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
 

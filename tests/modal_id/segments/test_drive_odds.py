@@ -54,7 +54,8 @@ def test_what_follows_a_change_is_evidence_too(change, follows):
     )[0]
     least = np.maximum(1.5 * np.exp(log_zeta), 0.01)
     held = np.where((follows > least) & (follows < 0.7), 1.0 / np.log(0.7 / np.minimum(least, 0.69)), 0.0)
-    after = 0.5 * (norm.pdf(np.log(follows), log_zeta, 0.3) + held)
+    log_range = np.log(MOST / LEAST)
+    after = 0.4 * norm.pdf(np.log(follows), log_zeta, 0.3) + 0.4 * held + 0.2 / log_range
     free = np.trapezoid(norm.pdf(change, np.exp(log_zeta) * radians, sd) * after, log_zeta)
     # prior 0.5; the logarithm of the range of zeta is in both
     expected = driven / (driven + free)
@@ -62,8 +63,8 @@ def test_what_follows_a_change_is_evidence_too(change, follows):
 
 
 def test_a_steady_motion_before_a_light_decay_is_a_drive_and_before_a_hand_may_be_free():
-    """The decay's damping ratio, 0.3 %, would have shown before it; a hand's, 5 %, would not."""
-    assert is_driven(drive_probability(0.001, 0.001, 22.0, follows=0.003))
+    """The decay's damping ratio, 0.3 %, would have shown before it; a hand's, 5 %, says nothing."""
+    assert drive_probability(0.001, 0.001, 22.0, follows=0.003) > 0.5 > drive_probability(0.001, 0.001, 22.0)
     assert may_be_driven(drive_probability(0.065, 0.02, 180.0, follows=0.05))
     assert drive_probability(0.065, 0.02, 180.0, follows=0.05) < 0.5
 
