@@ -124,12 +124,13 @@ def _located(data: FitData, events: list[Event], frequency_hz: float, lowest_hz:
     begins = [float(data.time_s[0]), *(e.end_s for e in changes)]
     ends = [*(e.start_s for e in changes[1:]), float(data.time_s[-1])]
     found: dict[Event, Event] = {}
+    sd = np.sqrt(rough_variance(data))
     for one, begin, end in zip(changes, begins, ends, strict=False):
         limits = one.start_s, one.end_s
         if one.kind == "rise":
             # The motion that follows is largest where it begins.
             part = data.rows(_between(data, *limits))
-            size = np.max(np.abs(detrended(part)) / np.sqrt(rough_variance(data)), axis=1)
+            size = np.max(np.abs(detrended(part)) / sd, axis=1)
             limits = one.start_s, min(one.end_s, float(part.time_s[np.argmax(size)]) + 1.0 / frequency_hz)
         place = locate_boundary(data, begin, limits, end, 1.0 / frequency_hz, lowest_hz)
         if place is not None:

@@ -8,11 +8,7 @@ import numpy as np
 
 from modal_id.data import FitData
 from modal_id.fit import ModalFit, find_modes
-from modal_id.segments.drive_odds import (
-    PRIOR,
-    drive_probability,
-    is_rather_driven,
-)
+from modal_id.segments.drive_odds import PRIOR, drive_probability, is_rather_driven
 from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
 from tracker import BoolArray
 
