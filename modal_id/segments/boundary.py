@@ -5,11 +5,11 @@ Between them may lie samples that neither explains: a pluck, a hand that grips.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, detrended
 from modal_id.fit import find_modes
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -59,7 +59,8 @@ class Boundary:
 class Motion:
     """Damped waves about an offset: poles (m,), amplitudes (m, k), offset (k,) and noise variance (k,).
 
-    The amplitudes are those at the first of the two times between which the waves were fitted.
+    The amplitudes are those at the first of the two times between which the waves were fitted, with a residual sum of
+    squares `rss`, (k,), over `count` samples of each channel.
     """
 
     poles: ComplexArray
@@ -67,6 +68,13 @@ class Motion:
     span_s: tuple[float, float]
     offset: FloatArray
     variance: FloatArray
+    rss: FloatArray
+    count: FloatArray
+
+    @property
+    def parameters(self) -> int:
+        """Number of real parameters of the waves."""
+        return int(2 * self.poles.size * (1 + self.variance.size))
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values and root sum of squares of the waves' amplitudes, both of shape (n, k).
@@ -88,10 +96,12 @@ def locate_boundary(
     until_s: float,
     cycle_s: float,
     lowest_hz: float,
+    sides: tuple[Motion | None, Motion | None] | None = None,
 ) -> Boundary | None:
     """Where the motion from `begin_s` on changes to that which lasts until `until_s`, roughly between two limits.
 
-    None where neither side is long enough for a motion to be fitted. `cycle_s` is that of the dominant motion.
+    None where neither side is long enough for a motion to be fitted. `cycle_s` is that of the dominant motion, `sides`
+    are the motions beside the limits, where they are known.
     """
     found: Boundary | None = None
     low, high = limits_s
@@ -100,13 +110,13 @@ def locate_boundary(
     zone &= np.any(data.weights > 0.0, axis=1)
     if np.count_nonzero(zone) < 2:
         return None
-    before = after = None
+    before, after = (None, None) if sides is None else sides
     for round_ in range(TUNING.rounds):
-        if round_ == 0 or (found is not None and found.end_s != low):
+        if (round_ == 0 and sides is None) or (found is not None and found.end_s != low):
             low = limits_s[0] if found is None else found.end_s
             start_s = max(begin_s, low - TUNING.side_cycles * cycle_s)
             before = motion_beside(data, start_s, low, cycle_s, lowest_hz, last=True)
-        if round_ == 0 or (found is not None and found.start_s != high):
+        if (round_ == 0 and sides is None) or (found is not None and found.start_s != high):
             high = limits_s[1] if found is None else found.start_s
             end_s = min(until_s, high + TUNING.side_cycles * cycle_s)
             after = motion_beside(data, high, end_s, cycle_s, lowest_hz, last=False)
@@ -129,26 +139,30 @@ def motion_beside(
     rows = _between(data, start_s, end_s) & np.any(data.weights > 0.0, axis=1)
     if np.count_nonzero(rows) < TUNING.least_rows or end_s - start_s < TUNING.least_cycles * cycle_s:
         return None
-    part = data.rows(rows)
+    return fitted_motion(data.rows(rows), cycle_s, lowest_hz, last=last)
+
+
+def fitted_motion(part: FitData, cycle_s: float, lowest_hz: float, *, last: bool) -> Motion:
+    """Motion of all samples; its offset is that of the last, or first, two cycles."""
     origin = float(part.time_s[0])
     model = find_modes(part.from_time(origin), TUNING.modes, lowest_hz)
-    channels = data.values.shape[1]
+    channels = part.values.shape[1]
     poles, amplitudes = np.zeros(0, dtype=complex), np.zeros((0, channels), dtype=complex)
-    weights = part.weights
+    weights, own = part.weights, np.zeros(channels)
+    rss = np.sum(part.weights * detrended(part) ** 2, axis=0)
     if model is not None:
-        poles, weights = model.fit.poles, model.data.weights
-        amplitudes = np.asarray(model.fit.linear.amplitudes)
-    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), np.zeros(channels), np.ones(channels))
+        poles, weights, own = model.fit.poles, model.data.weights, model.fit.linear.noise_variance
+        amplitudes, rss = np.asarray(model.fit.linear.amplitudes), model.fit.linear.rss
+    none = np.zeros(channels)
+    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), none, none, rss, part.counts)
     left = part.values - waves.at(part.time_s)[0]
     edge = float(part.time_s[-1]) if last else origin
     near = np.where(np.abs(part.time_s - edge)[:, None] < 2.0 * cycle_s, weights, 0.0)
     offset = np.sum(near * left, axis=0) / np.maximum(np.sum(near, axis=0), 1e-300)
     square = np.sum(near * (left - offset) ** 2, axis=0)
     freedom = np.maximum(np.count_nonzero(near, axis=0) - 1.0, 1.0)
-    own = np.zeros(channels) if model is None else model.fit.linear.noise_variance
-    return Motion(
-        poles, amplitudes, waves.span_s, offset, np.maximum(np.maximum(square / freedom, own), 1e-300)
-    )
+    variance = np.maximum(np.maximum(square / freedom, own), 1e-300)
+    return replace(waves, offset=offset, variance=variance)
 
 
 def _meeting(

@@ -9,7 +9,7 @@ import numpy as np
 
 from modal_id.data import FitData, detrended
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.dominant import dominant_hz
+from modal_id.segments.dominant import find_tones
 from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
@@ -131,21 +131,21 @@ def divide(
     beam = data.channels(~base)
     undisturbed = np.zeros(data.time_s.size, dtype=bool)
     last = float(data.time_s[-1])
-    strongest = dominant_hz(beam, variance[~base], lowest_hz, None)
-    if strongest is None:
+    tones = find_tones(beam, variance[~base], lowest_hz, wanted_hz)
+    if tones is None:
         # A motion that decays within a cycle or two is no line of the spectrum: the fit decides whether there is one.
         onset = begins_free or record_start(0.0)
         return RecordParts((Decay(onset, last),), (Segment("decay", 0.0, last),), undisturbed, onset)
-    frequency = strongest
-    if wanted_hz is not None:
-        frequency = dominant_hz(beam, variance[~base], lowest_hz, wanted_hz) or strongest
+    strongest = tones.dominant_hz
     rest_s = rest_until(beam, variance[~base], strongest)
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
-    # Events are looked for in the strongest line: they interrupt it, too.
-    thin = beam.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * strongest * data.step_s))))
+    # Events are looked for in the strongest lines: they interrupt them, too.
+    highest = max(tones.strongest_hz)
+    thin = beam.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * highest * data.step_s))))
     thin = without_spikes(thin, strongest)
-    events = find_events(thin, strongest, lowest_hz, rest_s)
-    division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events, rest_s)
+    events = find_events(thin, tones.strongest_hz, lowest_hz, rest_s)
+    frequencies = strongest, tones.wanted_hz
+    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s)
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -262,7 +262,8 @@ class _Division:
             and is_rather_driven(probability_of_drive(tail, self.frequency_hz, self.lowest_hz, prior))
         )
         # A base that stops abruptly is an event, too: the stop is looked for across it.
-        joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
+        joined = following is not None and not self._at_rest(following)
+        joined = joined and (driven or not long or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
             onset = self._stop(piece.start_s, end_s, prior)
             if onset is not None:

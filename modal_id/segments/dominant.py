@@ -1,4 +1,4 @@
-"""Frequency of the dominant motion of a record."""
+"""Frequencies of the strongest lines of a record."""
 
 from __future__ import annotations
 
@@ -25,15 +25,55 @@ class Tuning:
     same_line: float = 0.2
     #: [cycles] shortest window
     least_window_cycles: float = 6.0
+    #: [1] largest number of lines in which changes of the motion are looked for
+    #: convention: Limits the computing time.
+    most_tones: int = 3
+    #: [1] least distance of these lines over the dominant frequency
+    #: physics: A block of two cycles fitted with both lines separates them.
+    resolved: float = 0.75
 
 
 TUNING = Tuning()
 
 
-def dominant_hz(
+@dataclass(frozen=True)
+class Tones:
+    """Frequencies of the strongest lines, the dominant one first, and of that nearest to the wanted frequency."""
+
+    strongest_hz: tuple[float, ...]
+    wanted_hz: float
+
+    @property
+    def dominant_hz(self) -> float:
+        """That of the strongest line."""
+        return self.strongest_hz[0]
+
+
+def find_tones(
     data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz: float | None
-) -> float | None:
-    """Frequency of the strongest line of any window, or of the line nearest to the wanted frequency."""
+) -> Tones | None:
+    """The strongest lines of any window; None without any.
+
+    Beside the dominant one, those that blocks of two of its cycles resolve.
+    """
+    found = sorted(_lines(data, variance, lowest_hz), key=lambda c: -c.score)
+    if not found:
+        return None
+    # A swing of few cycles is a motion of the support, if there is anything faster.
+    many = [c.frequency_hz for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
+    hz = many or [c.frequency_hz for c in found]
+    wanted = tones = hz[:1]
+    if wanted_hz is not None:
+        nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
+        wanted = [f for f in hz if abs(np.log(f / nearest)) < TUNING.same_line] or [nearest]
+    for one in hz:
+        if all(abs(one - tone) > TUNING.resolved * hz[0] for tone in tones):
+            tones = [*tones, one]
+    return Tones(tuple(tones[: TUNING.most_tones]), wanted[0])
+
+
+def _lines(data: FitData, variance: FloatArray, lowest_hz: float) -> list[Candidate]:
+    """Lines of the record, and of its quarters and sixteenths."""
     found: list[Candidate] = []
     for share in _WINDOWS:
         length = int(share * data.time_s.size)
@@ -44,11 +84,4 @@ def dominant_hz(
             # In part of the record, the curvature of a swing may appear as a line of a few cycles.
             least_hz = lowest_hz if share == 1.0 else max(lowest_hz, TUNING.least_window_cycles / part.span_s)
             found += candidates(part, detrended(part), variance, least_hz, ())
-    if not found:
-        return None
-    if wanted_hz is not None:
-        nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
-        found = [c for c in found if abs(np.log(c.frequency_hz / nearest)) < TUNING.same_line]
-    # A swing of few cycles is a motion of the support, if there is anything faster.
-    many = [c for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
-    return max(many or found, key=lambda c: c.score).frequency_hz
+    return found
