@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data import FitData, detrended
-from modal_id.fit import find_modes
+from modal_id.data import FitData, bandwidth_hz, baseline_splines, detrended
+from modal_id.fit import ModalFit, find_modes
+from modal_id.solve import Problem, fit_poles, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -60,7 +61,8 @@ class Motion:
     """Damped waves about an offset: poles (m,), amplitudes (m, k), offset (k,) and noise variance (k,).
 
     The amplitudes are those at the first of the two times between which the waves were fitted, with a residual sum of
-    squares `rss`, (k,), over `count` samples of each channel.
+    squares `rss`, (k,), over `count` samples of each channel; `level` is the noise beside the strongest wave relative to
+    white noise, at least 1, and `model` the fit, None of a motion without waves.
     """
 
     poles: ComplexArray
@@ -70,6 +72,8 @@ class Motion:
     variance: FloatArray
     rss: FloatArray
     count: FloatArray
+    level: float = 1.0
+    model: ModalFit | None = None
 
     @property
     def parameters(self) -> int:
@@ -142,19 +146,34 @@ def motion_beside(
     return fitted_motion(data.rows(rows), cycle_s, lowest_hz, last=last)
 
 
-def fitted_motion(part: FitData, cycle_s: float, lowest_hz: float, *, last: bool) -> Motion:
-    """Motion of all samples; its offset is that of the last, or first, two cycles."""
+def fitted_motion(
+    part: FitData, cycle_s: float, lowest_hz: float, *, last: bool, poles: ComplexArray | None = None
+) -> Motion:
+    """Motion of all samples, from given poles on or any; its offset is that of the last, or first, two cycles."""
     origin = float(part.time_s[0])
-    model = find_modes(part.from_time(origin), TUNING.modes, lowest_hz)
+    own = part.from_time(origin)
+    model = find_modes(own, TUNING.modes, lowest_hz) if poles is None else _from_poles(own, poles)
+    return _motion(part, model, cycle_s, last=last)
+
+
+def _from_poles(data: FitData, poles: ComplexArray) -> ModalFit:
+    bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
+    problem = Problem(data, baseline_splines(data.time_s, bandwidth))
+    return ModalFit(problem, fit_poles(problem, poles), bandwidth)
+
+
+def _motion(part: FitData, model: ModalFit | None, cycle_s: float, *, last: bool) -> Motion:
+    origin = float(part.time_s[0])
     channels = part.values.shape[1]
     poles, amplitudes = np.zeros(0, dtype=complex), np.zeros((0, channels), dtype=complex)
     weights, own = part.weights, np.zeros(channels)
-    rss = np.sum(part.weights * detrended(part) ** 2, axis=0)
+    rss, level = np.sum(part.weights * detrended(part) ** 2, axis=0), 1.0
     if model is not None:
         poles, weights, own = model.fit.poles, model.data.weights, model.fit.linear.noise_variance
         amplitudes, rss = np.asarray(model.fit.linear.amplitudes), model.fit.linear.rss
+        level = max(level, model.spectrum.level_aside(float(frequency_hz(poles[model.strongest]))))
     none = np.zeros(channels)
-    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), none, none, rss, part.counts)
+    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), none, none, rss, part.counts, level, model)
     left = part.values - waves.at(part.time_s)[0]
     edge = float(part.time_s[-1]) if last else origin
     near = np.where(np.abs(part.time_s - edge)[:, None] < 2.0 * cycle_s, weights, 0.0)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.data import FitData, detrended
+from modal_id.data import FitData, detrended, rough_variance
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import find_tones
 from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
@@ -20,6 +20,7 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
+from modal_id.segments.partition import block_levels
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
@@ -37,9 +38,9 @@ class Tuning:
     samples_per_cycle: float = 12.0
     #: [1] amplitude over the record's largest below which it is at rest
     rest_share: float = 0.03
-    #: [sd] amplitude below which it is at rest
-    #: statistics: The envelope of noise exceeds it in one window in 3e5.
-    rest_sd: float = 5.0
+    #: [1] amplitude of a block over its noise below which it is at rest
+    #: statistics: Noise exceeds it in one block in 2e5.
+    rest_level: float = 3.5
     #: [cycles] shortest segment
     least_cycles: float = 3.0
     #: [samples] the same in samples
@@ -140,12 +141,14 @@ def divide(
     rest_s = rest_until(beam, variance[~base], strongest)
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
     # Events are looked for in the strongest lines: they interrupt them, too.
-    highest = max(tones.strongest_hz)
-    thin = beam.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * highest * data.step_s))))
-    thin = without_spikes(thin, strongest)
-    events = find_events(thin, tones.strongest_hz, lowest_hz, rest_s)
+    per_cycle = TUNING.samples_per_cycle * data.step_s
+    fine = beam.averaged(max(1, int(1.0 / (per_cycle * max(tones.strongest_hz)))))
+    fine = without_spikes(fine, strongest)
+    events = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
+    thin = fine.averaged(max(1, int(1.0 / (per_cycle * strongest * fine.step_s / data.step_s))))
+    levels = block_levels(fine, tones.strongest_hz)
     frequencies = strongest, tones.wanted_hz
-    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s)
+    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s, levels)
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -174,8 +177,10 @@ class _Division:
         lowest_hz: float,
         events: list[Event],
         rest_until_s: float | None,
+        levels: tuple[FloatArray, FloatArray],
     ) -> None:
-        """`frequencies_hz` are those of the strongest line and of the target."""
+        """`frequencies_hz` are those of the strongest line and of the target; `levels` those of `block_levels`."""
+        self.block_s, self.level = levels
         self.data, self.beam, self.thin, self.variance, self.base = data, beam, thin, variance, base
         self.frequency_hz, self.wanted_hz = frequencies_hz
         self.lowest_hz = lowest_hz
@@ -261,13 +266,15 @@ class _Division:
             and self._keeps_amplitude(piece)
             and is_rather_driven(probability_of_drive(tail, self.frequency_hz, self.lowest_hz, prior))
         )
+        # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
+        begin_s = event.start_s if event is not None and event.start_s <= self.thin.time_s[0] else piece.start_s
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following)
         joined = joined and (driven or not long or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
-            onset = self._stop(piece.start_s, end_s, prior)
+            onset = self._stop(begin_s, end_s, prior)
             if onset is not None:
-                self._add("driven", piece.start_s, onset.time_s, onset.note)
+                self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
                 return False, end_s > piece.end_s
         if driven:
@@ -344,26 +351,21 @@ class _Division:
     def _at_rest(self, piece: _Piece) -> bool:
         if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:
             return True
-        envelope = self.envelope
-        if envelope is None:
+        known = np.isfinite(self.level)
+        if not np.any(known):
             return False
-        amplitude = envelope.amplitude
-        half = envelope.half_s
-        within = (envelope.time_s >= piece.start_s + half) & (envelope.time_s <= piece.end_s - half)
-        if not np.any(np.isfinite(amplitude)):
-            return False
-        limit = max(TUNING.rest_sd * envelope.amplitude_sd, TUNING.rest_share * float(np.nanmax(amplitude)))
-        if np.any(np.isfinite(amplitude[within])):
-            return float(np.nanmax(amplitude[within])) < limit
-        # Shorter than a window: the mean square of all samples.
+        half_s = float(self.block_s[0])
+        within = known & (self.block_s >= piece.start_s + half_s) & (self.block_s <= piece.end_s - half_s)
+        limit = max(TUNING.rest_level, TUNING.rest_share * float(np.max(self.level[known])))
+        if np.any(within):
+            return float(np.max(self.level[within])) < limit
+        # Shorter than a block: the mean square of all samples.
         part = self.thin.between(piece.start_s, piece.end_s)
-        square = (
-            float(np.mean(np.sum((detrended(part) / envelope.noise) ** 2, axis=1)))
-            if part.time_s.size
-            else 0.0
-        )
-        noise = float(np.count_nonzero(envelope.used))
-        return float(np.sqrt(2.0 * max(square - noise, 0.0))) < max(limit, float(np.sqrt(noise)))
+        if not part.time_s.size:
+            return True
+        square = np.mean(detrended(part) ** 2, axis=0)
+        largest = TUNING.rest_share * np.max(np.abs(detrended(self.thin)), axis=0)
+        return bool(np.all(square < np.maximum(2.0 * rough_variance(self.thin), largest**2)))
 
     def _decay(self, onset: Onset, end_s: float) -> None:
         self.decays.append(Decay(onset, end_s))

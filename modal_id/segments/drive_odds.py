@@ -15,7 +15,7 @@ class Tuning:
     #: [1] probability of a drive of a steady motion, where nothing else is known
     prior: float = 0.5
     #: [1] the same after the amplitude rose abruptly: a pluck, or a drive that starts
-    after_rise: float = 0.02
+    after_rise: float = 0.1
     #: [1] half width at half maximum of the change of the logarithm of a drive's amplitude
     drive_change: float = 0.005
     #: [1] sd of the change of the log amplitude above which it tells nothing of a drive

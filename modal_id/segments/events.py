@@ -12,8 +12,10 @@ from typing import Literal
 import numpy as np
 
 from modal_id.data import FitData, rough_variance
+from modal_id.fit import ModalFit
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
 from modal_id.segments.partition import Change, find_changes
+from modal_id.solve import mode_functions, real_columns
 from tracker import BoolArray, FloatArray
 
 
@@ -25,7 +27,7 @@ class Tuning:
     side_cycles: float = 12.0
     #: [1] error of a motion over its amplitude
     #: convention: Damping that depends on the amplitude.
-    relative_error: float = 0.02
+    relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
     #: [1] ratio of amplitudes from which the amplitude rises
@@ -110,33 +112,85 @@ def _event(
         motion_beside(data, *span, cycle_s, lowest_hz, last=k == 0) for k, span in enumerate(spans)
     )
     if before is not None and after is not None:
-        rows = _between(data, *spans[0]) | _between(data, *spans[1])
-        one = fitted_motion(data.rows(rows & np.any(data.weights > 0.0, axis=1)), cycle_s, lowest_hz, last=True)
-        if _is_rather_one(one, before, after):
-            return _click(data, one, low, high)
+        one = _one_motion(data, spans, before, after, cycle_s, lowest_hz)
+        if one is not None:
+            quiet = replace(one, variance=np.minimum(before.variance, after.variance))
+            return _click(data, quiet, low, high, cycle_s)
+    elif before is None:
+        low = begin_s
     place = locate_boundary(data, begin_s, (low, high), until_s, cycle_s, lowest_hz, (before, after))
     return None if place is None else _of_kind(data, place, before, after)
 
 
-def _is_rather_one(one: Motion, before: Motion, after: Motion) -> bool:
-    """Whether one motion explains the samples of both sides better than two, by the information criterion."""
-    count = one.count
+def _one_motion(
+    data: FitData,
+    spans: tuple[tuple[float, float], ...],
+    before: Motion,
+    after: Motion,
+    cycle_s: float,
+    lowest_hz: float,
+) -> Motion | None:
+    """The motion that explains both sides of a change better than two do; None without one.
+
+    Any motion, or that of the side with more modes, because a mode that dies out on one side may be too weak to be found
+    again; with constant poles, or one that changes evenly, as damping that depends on the amplitude does.
+    """
+    rows = (_between(data, *spans[0]) | _between(data, *spans[1])) & np.any(data.weights > 0.0, axis=1)
+    part = data.rows(rows)
+    one = fitted_motion(part, cycle_s, lowest_hz, last=True)
+    trials = [(one, one.rss, 0)]
+    more = max(before, after, key=lambda side: side.poles.size)
+    if more.poles.size > one.poles.size:
+        other = fitted_motion(part, cycle_s, lowest_hz, last=True, poles=more.poles)
+        trials.append((other, other.rss, 0))
+    trials += [(motion, _bent_rss(motion.model), 4) for motion, _, _ in trials if motion.model is not None]
+    for motion, rss, further in trials:
+        if _is_rather_one(motion, rss, further * rss.size, before, after):
+            return motion
+    return None
+
+
+def _bent_rss(model: ModalFit) -> FloatArray:
+    """Residual sum of squares of each channel where the pole of the strongest mode may change evenly in time."""
+    data, poles = model.data, model.fit.poles
+    since = np.linspace(-1.0, 1.0, data.time_s.size)[:, None]
+    waves = mode_functions(data.time_s, poles)
+    own = waves[:, [model.strongest]]
+    ramps = real_columns(np.concatenate([waves, own * since, own * since**2], axis=1))
+    columns = np.concatenate([model.problem.baseline[:].toarray(), ramps], axis=1)
+    rss = np.empty(data.values.shape[1])
+    for k in range(rss.size):
+        root = np.sqrt(data.weights[:, k])
+        solution = np.linalg.lstsq(columns * root[:, None], data.values[:, k] * root, rcond=1e-9)[0]
+        rss[k] = np.sum((root * (data.values[:, k] - columns @ solution)) ** 2)
+    return rss
+
+
+def _is_rather_one(one: Motion, rss: FloatArray, further: int, before: Motion, after: Motion) -> bool:
+    """Whether one motion explains the samples of both sides better than two, by the information criterion.
+
+    `rss` is its residual sum of squares, with `further` parameters beside its own.
+    """
     power = 0.5 * np.sum(np.abs(before.amplitudes) ** 2, axis=0) * before.count
     power += 0.5 * np.sum(np.abs(after.amplitudes) ** 2, axis=0) * after.count
     error = TUNING.relative_error**2 * power + 1e-300
-    gain = float(np.sum(count * np.log((one.rss + error) / (before.rss + after.rss + error))))
-    more = before.parameters + after.parameters - one.parameters + 1
-    return gain < more * float(np.log(np.sum(count)))
+    gain = float(np.sum(one.count * np.log((rss + error) / (before.rss + after.rss + error))))
+    # Noise with more power at the mode than white noise gains as much more by chance.
+    gain /= max(one.level, before.level, after.level)
+    more = before.parameters + after.parameters - one.parameters - further + 1
+    return gain < more * float(np.log(np.sum(one.count)))
 
 
-def _click(data: FitData, motion: Motion, low_s: float, high_s: float) -> Event | None:
+def _click(data: FitData, motion: Motion, low_s: float, high_s: float, cycle_s: float) -> Event | None:
     """The click within a motion that goes on: samples that it does not explain; None without any."""
     rows = _between(data, low_s, high_s)
     left = data.values[rows] - motion.at(data.time_s[rows])[0]
-    square = np.sum(data.weights[rows] * (left - np.mean(left, axis=0)) ** 2 / motion.variance, axis=1)
-    if not square.size or float(np.mean(square)) < TUNING.burst * data.values.shape[1]:
+    square = np.mean(data.weights[rows] * (left - np.mean(left, axis=0)) ** 2 / motion.variance, axis=1)
+    loud = np.flatnonzero(square > TUNING.burst)
+    if not square.size or float(np.mean(square)) < TUNING.burst:
         return None
-    return Event("burst", low_s, high_s)
+    first_s, last_s = data.time_s[rows][loud[[0, -1]]] + np.array([-0.25, 0.25]) * cycle_s
+    return Event("burst", max(float(first_s), low_s), min(float(last_s), high_s))
 
 
 def _of_kind(data: FitData, place: Boundary, before: Motion | None, after: Motion | None) -> Event:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from modal_id.data import FitData
-from tracker import ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,9 @@ class Tuning:
     #: [cycles] shortest block
     #: physics: Two separate a wave from an offset and its slope.
     cycles: float = 2.0
+    #: [cycles] least length of a motion between two changes
+    #: convention: Of less, no damping can be known.
+    apart_cycles: float = 1.5
     #: [samples] shortest block
     least_rows: int = 8
     #: [1] largest number of blocks
@@ -36,9 +39,14 @@ class Tuning:
     relative_error: float = 0.02
     #: [blocks] fewest blocks from which the noise of a line is measured
     noise_blocks: int = 12
-    #: [blocks] longest stretch of noise that may belong to a change
+    #: [1] mean square residual of a block over the median from which it holds a burst
+    #: statistics: Three standard deviations.
+    burst: float = 9.0
+    #: [blocks] longest stretch of noise that belongs to a change
     #: convention: A click without duration disturbs two.
     click_blocks: int = 3
+    #: [1] power of a longer one, over the lesser of those beside it, from which it does: rest is quieter
+    loud: float = 0.1
 
 
 TUNING = Tuning()
@@ -49,10 +57,11 @@ _STEPS = 3
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the motion between two times, relative to the data."""
+    """A change of the motion between two times, relative to the data; what lies between them may be unknown."""
 
     low_s: float
     high_s: float
+    unknown: bool = False
 
 
 def find_changes(data: FitData, tones_hz: tuple[float, ...], begin_s: float) -> list[Change]:
@@ -60,9 +69,15 @@ def find_changes(data: FitData, tones_hz: tuple[float, ...], begin_s: float) -> 
 
     `tones_hz` are the strongest lines, at least a block's resolution apart, the dominant one first.
     """
-    part = data.between(begin_s, float(data.time_s[-1]))
-    found = _divided(part, tones_hz, begin_s)
-    return [one for change in found for one in _refined(data, tones_hz, begin_s, change)]
+    found = _divided(data.between(begin_s, float(data.time_s[-1])), tones_hz, begin_s)
+    refined = [one if one.unknown else _refined(data, tones_hz, begin_s, one) for one in found]
+    least_s = TUNING.apart_cycles / tones_hz[0]
+    merged: list[Change] = []
+    for one in refined:
+        if merged and one.low_s - merged[-1].high_s < least_s:
+            one = Change(merged[-1].low_s, max(one.high_s, merged.pop().high_s), unknown=True)
+        merged.append(one)
+    return merged
 
 
 def _divided(data: FitData, tones_hz: tuple[float, ...], from_s: float) -> list[Change]:
@@ -70,22 +85,51 @@ def _divided(data: FitData, tones_hz: tuple[float, ...], from_s: float) -> list[
     edges = _edges(data, tones_hz)
     if edges.size < 4:
         return []
-    cost, noise = _total_costs(block_amplitudes(data, tones_hz, edges))
+    amplitude, excess = block_amplitudes(data, tones_hz, edges)
+    cost, noise = _total_costs(amplitude)
     stretches = _best_division(cost)
+    power = np.nansum(np.abs(amplitude) ** 2, axis=(1, 2))
+    mean = [float(np.mean(power[first:last])) for first, last in stretches]
     found: list[Change] = []
-    click_s = None
-    for first, last in stretches[1:]:
-        low, high = edges[max(first - 1, 0)], edges[min(first + 1, edges.size - 1)]
-        if click_s is not None:
-            low = click_s
-        short = noise[first, last] and last - first <= TUNING.click_blocks and last < edges.size - 1
-        click_s = low if short else None
-        if not short:
-            found.append(Change(from_s + float(low), from_s + float(high)))
+    low = None
+    seen = np.any(np.isfinite(amplitude), axis=(1, 2))
+    for k, (first, last) in enumerate(stretches[1:], 1):
+        noisy = low is not None
+        low = low if noisy else _reach(edges, seen, first)[0]
+        gap = not (seen[first - 1] and seen[first])
+        inner = k + 1 < len(stretches) and noise[first, last]
+        loud = inner and mean[k] > TUNING.loud * min(mean[k - 1], mean[k + 1])
+        if inner and (loud or last - first <= TUNING.click_blocks):
+            continue
+        # A burst of noise may hide that its last blocks belong to it.
+        while noisy and first + 1 < last and excess[first + 1] > TUNING.burst:
+            first += 1
+        high = _reach(edges, seen, first)[1]
+        found.append(Change(from_s + float(low), from_s + float(high), noisy or gap))
+        low = None
+    found += _bursts(edges, excess, from_s, found)
+    return sorted(found, key=lambda one: one.low_s)
+
+
+def _reach(edges: FloatArray, seen: BoolArray, at: int) -> tuple[float, float]:
+    """A block to either side of an edge; in a gap, the change may be anywhere."""
+    before = int(np.max(np.flatnonzero(seen[:at]), initial=0))
+    return float(edges[before]), float(edges[at + 1 + int(np.argmax(seen[at:]))])
+
+
+def _bursts(edges: FloatArray, excess: FloatArray, from_s: float, known: list[Change]) -> list[Change]:
+    """Runs of blocks, apart from known changes and the first block, that the lines explain far worse than most."""
+    loud = np.flatnonzero(np.nan_to_num(excess) > TUNING.burst)
+    groups = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1) if loud.size else []
+    found = []
+    for group in groups:
+        one = Change(from_s + float(edges[group[0]]), from_s + float(edges[group[-1] + 1]), True)
+        if group[0] > 0 and all(one.high_s < other.low_s or one.low_s > other.high_s for other in known):
+            found.append(one)
     return found
 
 
-def _refined(data: FitData, tones_hz: tuple[float, ...], begin_s: float, change: Change) -> list[Change]:
+def _refined(data: FitData, tones_hz: tuple[float, ...], begin_s: float, change: Change) -> Change:
     """A change between blocks of many cycles, to those of fewer."""
     shortest = _shortest_s(data, tones_hz)
     while (width := change.high_s - change.low_s) > 3.0 * shortest:
@@ -94,10 +138,14 @@ def _refined(data: FitData, tones_hz: tuple[float, ...], begin_s: float, change:
         edges = _edges(part, tones_hz)
         if edges.size < 4 or 3.0 * (edges[1] - edges[0]) > width:
             break
-        cost, _ = _total_costs(block_amplitudes(part, tones_hz, edges))
+        amplitude, _ = block_amplitudes(part, tones_hz, edges)
+        cost, _ = _total_costs(amplitude)
         at = int(np.argmin(cost[0, 1:-1] + cost[1:-1, -1])) + 1
-        change = Change(low + float(edges[at - 1]), low + float(edges[at + 1]))
-    return [change]
+        first_s, last_s = _reach(edges, np.any(np.isfinite(amplitude), axis=(1, 2)), at)
+        if last_s - first_s >= width:
+            break
+        change = Change(low + first_s, low + last_s)
+    return change
 
 
 def _shortest_s(data: FitData, tones_hz: tuple[float, ...]) -> float:
@@ -111,8 +159,12 @@ def _edges(data: FitData, tones_hz: tuple[float, ...]) -> FloatArray:
     return np.linspace(0.0, last_s, count + 1)
 
 
-def block_amplitudes(data: FitData, tones_hz: tuple[float, ...], edges_s: FloatArray) -> ComplexArray:
-    """Amplitude of each tone in each block over its noise; shape (blocks, tones, k), NaN where samples are missing.
+def block_amplitudes(
+    data: FitData, tones_hz: tuple[float, ...], edges_s: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Amplitude of each tone in each block over its noise, and the mean square residual of a block over the median.
+
+    Shapes (blocks, tones, k) and (blocks,); NaN where samples are missing.
 
     Least squares with a Hann window, beside an offset and its slope. The noise is the larger of that of white noise
     with the residual of the median block, and of what a block differs from its neighbours.
@@ -145,8 +197,23 @@ def block_amplitudes(data: FitData, tones_hz: tuple[float, ...], edges_s: FloatA
             gain[b, :, k] = np.sqrt(power[:tones] + power[tones : 2 * tones])
             square[b, k] = np.sum(window * left**2) / np.sum(window / np.maximum(weights, 1e-300)) / freedom
     noise = np.sqrt(np.maximum(_median(square), (1e-6 * np.max(np.abs(data.values), axis=0)) ** 2 + 1e-300))
+    known = np.isfinite(square)
+    excess = np.sum(np.where(known, square / noise**2, 0.0), axis=1) / np.maximum(np.sum(known, axis=1), 1)
     with np.errstate(invalid="ignore"):
-        return _over_neighbours(amplitude / (gain * noise))
+        return _over_neighbours(amplitude / (gain * noise)), excess
+
+
+def block_levels(data: FitData, tones_hz: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Centres of the blocks of a record, and the rms over the channels of the amplitude over its noise, shape (b,).
+
+    That of the tone which is strongest there; NaN where samples are missing. Noise alone has a level of about 1.
+    """
+    edges = _edges(data, tones_hz)
+    if edges.size < 2:
+        return np.zeros(0), np.zeros(0)
+    square = np.abs(block_amplitudes(data, tones_hz, edges)[0]) ** 2
+    level = np.sqrt(np.max(np.mean(square, axis=2), axis=1))
+    return 0.5 * (edges[1:] + edges[:-1]), level
 
 
 def _median(values: FloatArray) -> FloatArray:
