@@ -61,8 +61,8 @@ class Motion:
     """Damped waves about an offset: poles (m,), amplitudes (m, k), offset (k,) and noise variance (k,).
 
     The amplitudes are those at the first of the two times between which the waves were fitted, with a residual sum of
-    squares `rss`, (k,), over `count` samples of each channel; `level` is the noise beside the strongest wave relative to
-    white noise, at least 1, and `model` the fit, None of a motion without waves.
+    squares `rss`, (k,), over `count` samples of each channel; `level` is the noise beside the strongest wave relative
+    to white noise, at least 1, and `model` the fit, None of a motion without waves.
     """
 
     poles: ComplexArray
@@ -173,7 +173,9 @@ def _motion(part: FitData, model: ModalFit | None, cycle_s: float, *, last: bool
         amplitudes, rss = np.asarray(model.fit.linear.amplitudes), model.fit.linear.rss
         level = max(level, model.spectrum.level_aside(float(frequency_hz(poles[model.strongest]))))
     none = np.zeros(channels)
-    waves = Motion(poles, amplitudes, (origin, float(part.time_s[-1])), none, none, rss, part.counts, level, model)
+    waves = Motion(
+        poles, amplitudes, (origin, float(part.time_s[-1])), none, none, rss, part.counts, level, model
+    )
     left = part.values - waves.at(part.time_s)[0]
     edge = float(part.time_s[-1]) if last else origin
     near = np.where(np.abs(part.time_s - edge)[:, None] < 2.0 * cycle_s, weights, 0.0)

@@ -20,11 +20,11 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
-from modal_id.segments.partition import block_levels
+from modal_id.segments.line_blocks import LineBlocks, line_blocks
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
-from modal_id.segments.steadiness import decays, probability_of_drive, starts_to_decay
+from modal_id.segments.steadiness import decays, probability_of_drive
 from modal_id.segments.swing import without_swing
 from tracker import BoolArray, FloatArray
 
@@ -45,9 +45,6 @@ class Tuning:
     least_cycles: float = 3.0
     #: [samples] the same in samples
     least_rows: int = 12
-    #: [cycles] length from which an event is no click
-    #: convention: An event without duration disturbs four.
-    long_click_cycles: float = 6.0
     #: [1] least amplitude of the latter half of a driven motion over its largest
     #: convention: Less is the transient of its start.
     kept: float = 0.3
@@ -146,9 +143,9 @@ def divide(
     fine = without_spikes(fine, strongest)
     events = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
     thin = fine.averaged(max(1, int(1.0 / (per_cycle * strongest * fine.step_s / data.step_s))))
-    levels = block_levels(fine, tones.strongest_hz)
+    blocks = line_blocks(fine, tones.strongest_hz)
     frequencies = strongest, tones.wanted_hz
-    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s, levels)
+    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s, blocks)
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -177,10 +174,10 @@ class _Division:
         lowest_hz: float,
         events: list[Event],
         rest_until_s: float | None,
-        levels: tuple[FloatArray, FloatArray],
+        blocks: LineBlocks,
     ) -> None:
-        """`frequencies_hz` are those of the strongest line and of the target; `levels` those of `block_levels`."""
-        self.block_s, self.level = levels
+        """`frequencies_hz` are those of the strongest line and of the target; `blocks` those of the lines."""
+        self.block_s, self.level = blocks.centres_s, blocks.level
         self.data, self.beam, self.thin, self.variance, self.base = data, beam, thin, variance, base
         self.frequency_hz, self.wanted_hz = frequencies_hz
         self.lowest_hz = lowest_hz
@@ -189,38 +186,14 @@ class _Division:
         self.segments: list[Segment] = []
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
-        breaks = [e if self._is_break(e, events) else None for e in events]
-        for burst in (e for e, one in zip(events, breaks, strict=True) if one is None):
+        for burst in (e for e in events if e.kind == "burst"):
             self.disturbed |= _within(data.time_s, burst)
             self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
-        kept = [e for e in breaks if e is not None]
+        kept = [e for e in events if e.kind != "burst"]
         starts = [0.0, *(e.end_s for e in kept)]
         ends = [*(e.start_s for e in kept), float(data.time_s[-1])]
         parts = zip(starts, ends, [None, *kept], strict=True)
         self.pieces = [_Piece(*one) for one in parts if one[1] > one[0]]
-
-    def _is_break(self, event: Event, events: list[Event]) -> bool:
-        """Whether the motion before and after an event is not the same.
-
-        After a click it is. What looks like a long click may be the end of a drive: weaker modes are excited, and the
-        dominant motion begins to decay.
-        """
-        if event.kind != "burst":
-            return True
-        if (event.end_s - event.start_s) * self.frequency_hz < TUNING.long_click_cycles:
-            return False
-        clicks = [e for e in events if e.kind == "burst"]
-        begin_s = max((e.end_s for e in events if e not in clicks and e.end_s <= event.start_s), default=0.0)
-        last_s = float(self.thin.time_s[-1])
-        end_s = min(
-            (e.start_s for e in events if e not in clicks and e.start_s >= event.end_s), default=last_s
-        )
-        within = np.any([_within(self.thin.time_s, e) for e in clicks], axis=0)
-        used = replace(self.thin, weights=np.where(within[:, None], 0.0, self.thin.weights))
-        sides = used.between(begin_s, event.start_s), used.between(event.end_s, end_s)
-        if min(side.time_s.size for side in sides) < TUNING.least_rows:
-            return False
-        return starts_to_decay(*sides, self.frequency_hz, self.lowest_hz)
 
     def from_user(self, onset: Onset, *, end_is_given: bool) -> RecordParts:
         """One decay from the beginning of the data to the first event, or to their end."""
@@ -267,10 +240,11 @@ class _Division:
             and is_rather_driven(probability_of_drive(tail, self.frequency_hz, self.lowest_hz, prior))
         )
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
-        begin_s = event.start_s if event is not None and event.start_s <= self.thin.time_s[0] else piece.start_s
+        first = event is not None and event.start_s <= self.thin.time_s[0]
+        begin_s = event.start_s if event is not None and first else piece.start_s
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following)
-        joined = joined and (driven or not long or not _rises(following))
+        joined = joined and (driven or not long or following is None or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
             onset = self._stop(begin_s, end_s, prior)
             if onset is not None:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data import FitData, rough_variance
+from modal_id.data import FitData, baseline_matrix, rough_variance
 from modal_id.fit import ModalFit
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
 from modal_id.segments.partition import Change, find_changes
@@ -47,9 +47,9 @@ class Event:
     """An event between two times relative to the data.
 
     ``kind`` is "rise" (the amplitude grows: a pluck or a blow), "fall" (it drops: a stop), "interruption" (the motion
-    changes at about the same amplitude), or "burst" (a click after which the motion goes on as before: only the samples
-    within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown; ``sd_s`` the standard
-    deviation of its end, NaN where unknown.
+    changes at about the same amplitude), or "burst" (a click after which the motion goes on as before: only the
+    samples within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown; ``sd_s`` the
+    standard deviation of its end, NaN where unknown.
     """
 
     kind: EventKind
@@ -132,8 +132,8 @@ def _one_motion(
 ) -> Motion | None:
     """The motion that explains both sides of a change better than two do; None without one.
 
-    Any motion, or that of the side with more modes, because a mode that dies out on one side may be too weak to be found
-    again; with constant poles, or one that changes evenly, as damping that depends on the amplitude does.
+    Any motion, or that of the side with more modes, because a mode that dies out on one side may be too weak to be
+    found again; with constant poles, or one that changes evenly, as damping that depends on the amplitude does.
     """
     rows = (_between(data, *spans[0]) | _between(data, *spans[1])) & np.any(data.weights > 0.0, axis=1)
     part = data.rows(rows)
@@ -157,7 +157,7 @@ def _bent_rss(model: ModalFit) -> FloatArray:
     waves = mode_functions(data.time_s, poles)
     own = waves[:, [model.strongest]]
     ramps = real_columns(np.concatenate([waves, own * since, own * since**2], axis=1))
-    columns = np.concatenate([model.problem.baseline[:].toarray(), ramps], axis=1)
+    columns = np.concatenate([baseline_matrix(data.time_s, model.bandwidth_hz), ramps], axis=1)
     rss = np.empty(data.values.shape[1])
     for k in range(rss.size):
         root = np.sqrt(data.weights[:, k])

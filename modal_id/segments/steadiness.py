@@ -25,9 +25,6 @@ class Tuning:
     strong: float = 0.2
     #: [1] fall of the log amplitude from which it decays
     decayed: float = 0.5
-    #: [1] ratio of the decay rate after an event to that before, from which a decay starts there
-    #: convention: A drive keeps that up.
-    starts: float = 3.0
     #: [beats] modes with fewer beats in the record are close
     #: physics: One mode whose amplitude changes may imitate them.
     close_beats: float = 4.0
@@ -66,22 +63,6 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     centred = data.values - np.mean(data.values, axis=0)
     left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
     return fit.converged and -float(fit.poles[index].real) > _DECAY_SD * sd and left < TUNING.most_left
-
-
-def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: float) -> bool:
-    """Whether the line at this frequency decays more than three times as fast after an event as before it.
-
-    Beyond three standard deviations of either rate.
-    """
-    rates = []
-    for part in (before, after):
-        data, fit, index = _line(part, line_hz, lowest_hz)
-        if not fit.converged:
-            return False
-        sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
-        rates.append((-float(fit.poles[index].real), _DECAY_SD * sd))
-    (early, early_reach), (late, late_reach) = rates
-    return TUNING.starts * (abs(early) + early_reach) < late - late_reach
 
 
 def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
