@@ -20,7 +20,6 @@ from modal_id.fit import (
 )
 from modal_id.modes import FittedDecay, moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
-from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
 from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
@@ -50,12 +49,12 @@ class Tuning:
     mostly_explained: float = 0.01
     #: [cycles] shortest piece of a divided decay
     least_cycles: float = 6.0
-    #: [cycles] the same, where both parts have been fitted
-    fewest_cycles: float = 2.5
     #: [samples] samples per cycle of the fastest mode in the search for the time of a change
     samples_per_cycle: float = 8.0
     #: [cycles] error of the time of a change before it is located
     rough_cycles: float = 1.0
+    #: [1] rms of a channel at rest over that of the motion that follows
+    rest_share: float = 0.2
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
 
@@ -118,14 +117,11 @@ class PieceFitter:
                 yield Piece(Segment(otherwise, onset.time_s, end_s, note), None, one)
                 continue
             left = misfit(one.model, self._omissions(one.model, one.moving))
-            interruption = self._interruption(one) if splits > 0 else None
-            if interruption is None and (left.share < TUNING.most_left or _is_one_curve(one.model)):
+            if left.share < TUNING.most_left or _is_one_curve(one.model):
                 yield Piece(Segment("decay", one.onset.time_s, one.end_s, one.onset.note), one)
                 continue
-            change, least = interruption, TUNING.fewest_cycles
-            if interruption is None:
-                self.rough.append((left.share, one))
-                change, least = self._change(one, one.model) if splits > 0 else None, TUNING.least_cycles
+            self.rough.append((left.share, one))
+            change = self._change(one) if splits > 0 else None
             splits -= 1
             if change is None:
                 reason = _unexplained(onset, end_s, left)
@@ -133,18 +129,18 @@ class PieceFitter:
                 continue
             before, after = _divided(one, change)
             kinds: tuple[SegmentKind, SegmentKind] = ("disturbed", "disturbed")
-            if rests_until(one.data, change.start_s):
+            if _rests_until(one.data, change.start_s):
                 kinds = ("disturbed", "at rest")
             for (begin, end), kind in zip((after, before), kinds, strict=True):
-                if end - begin.fit_from_s > least * _cycle_s(one):
+                if end - begin.fit_from_s > TUNING.least_cycles * _cycle_s(one):
                     waiting.append((begin, end, kind))
                 else:
                     note = "The motion changes before and after."
                     yield Piece(Segment("disturbed", begin.time_s, end, note))
 
-    def _change(self, one: FittedDecay, model: ModalFit) -> Boundary | None:
+    def _change(self, one: FittedDecay) -> Boundary | None:
         """Where the motion changes, relative to the fit's data; None where these are too few."""
-        change_s = change_of_motion(model)
+        change_s = change_of_motion(one.model)
         if change_s is None:
             return None
         cycle_s, fastest_hz = _cycle_s(one), float(np.max(frequency_hz(one.model.fit.poles)))
@@ -157,21 +153,6 @@ class PieceFitter:
         limits = max(change_s - rough_s, 0.0), min(change_s + rough_s, last_s)
         found = locate_boundary(thin, 0.0, limits, last_s, cycle_s, self.lowest_hz)
         return found or Boundary(change_s - one.data.step_s, change_s, 0.25 * cycle_s)
-
-    def _interruption(self, one: FittedDecay) -> Boundary | None:
-        """Where, relative to the fit's data, an interruption explains close modes better; None without one."""
-        single = single_modes(one.model)
-        change = None if single is None else self._change(one, single)
-        if change is None:
-            return None
-        parts = [self.fit(*part) for part in _divided(one, change)]
-        fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
-        if fitted and is_transient(one.model):
-            return change
-        complete = len(fitted) == 2 or (
-            isinstance(parts[-1], FittedDecay) and rests_until(one.data, change.start_s)
-        )
-        return change if complete and is_rather_interrupted(one, fitted) else None
 
     def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
         """Fit from a release within a decay of few cycles that begins with the record."""
@@ -237,6 +218,17 @@ class PieceFitter:
             return None
         channels = self.used.channels[moving] if mixed is None else self.used.channels
         return Omissions(model, errors, channels, mixed)
+
+
+def _rests_until(data: FitData, time_s: float) -> bool:
+    """Whether each channel moves by less than a small share of its later motion until a time: before a release."""
+    moves = []
+    for rows in (data.time_s < time_s, data.time_s >= time_s):
+        weights = data.weights[rows]
+        total = np.maximum(np.sum(weights, axis=0), 1e-300)
+        centred = data.values[rows] - np.sum(weights * data.values[rows], axis=0) / total
+        moves.append(np.sqrt(np.sum(weights * centred**2, axis=0) / total))
+    return bool(np.all(moves[0] < TUNING.rest_share * moves[1]))
 
 
 def _without(data: FitData, rows: BoolArray) -> FitData:

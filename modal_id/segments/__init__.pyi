@@ -25,8 +25,10 @@ from .narrate import no_line as no_line
 from .narrate import seen as seen
 from .narrate import whole_record as whole_record
 from .one_decay import may_be_two_decays as may_be_two_decays
+from .partition import best_division as best_division
+from .partition import find_changes as find_changes
 from .rest import rest_until as rest_until
 from .spikes import without_spikes as without_spikes
-from .steadiness import close_modes as close_modes
 from .steadiness import holds_a_decay as holds_a_decay
 from .steadiness import keeps_amplitude as keeps_amplitude
+from .stretch_costs import stretch_costs as stretch_costs

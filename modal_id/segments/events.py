@@ -30,6 +30,11 @@ class Tuning:
     relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
+    #: [1] jump of the motion over its larger amplitude below which it is continuous
+    joins: float = 0.4
+    #: [1] largest number of changes at which the motion is continuous
+    #: convention: A drive, a decay, a hand, its release. More are those of a motion that is forced at random.
+    most_joined: int = 3
     #: [1] ratio of amplitudes from which the amplitude rises
     rise: float = 1.25
     #: [1] ratio of amplitudes below which it falls
@@ -49,7 +54,7 @@ class Event:
     ``kind`` is "rise" (the amplitude grows: a pluck or a blow), "fall" (it drops: a stop), "interruption" (the motion
     changes at about the same amplitude), or "burst" (a click after which the motion goes on as before: only the
     samples within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown; ``sd_s`` the
-    standard deviation of its end, NaN where unknown.
+    standard deviation of its end, NaN where unknown; ``jump`` that of the motion over its larger amplitude.
     """
 
     kind: EventKind
@@ -57,6 +62,7 @@ class Event:
     end_s: float
     decay_per_s: float = 0.0
     sd_s: float = float("nan")
+    jump: float = 1.0
 
 
 def find_events(
@@ -92,7 +98,8 @@ def find_events(
             data = replace(data, weights=np.where(inside[:, None], 0.0, data.weights))
         else:
             begin = event.end_s
-    return events
+    joined = [e for e in events if e.jump < TUNING.joins]
+    return events if len(joined) <= TUNING.most_joined else [e for e in events if e not in joined]
 
 
 def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
@@ -118,8 +125,11 @@ def _event(
             return _click(data, quiet, low, high, cycle_s)
     elif before is None:
         low = begin_s
+    elif _click(data, before, low, until_s, cycle_s) is None:
+        # Too little follows for a motion of its own, and what follows is that before.
+        return None
     place = locate_boundary(data, begin_s, (low, high), until_s, cycle_s, lowest_hz, (before, after))
-    return None if place is None else _of_kind(data, place, before, after)
+    return None if place is None else _of_kind(data, place, before, after, cycle_s)
 
 
 def _one_motion(
@@ -193,19 +203,25 @@ def _click(data: FitData, motion: Motion, low_s: float, high_s: float, cycle_s: 
     return Event("burst", max(float(first_s), low_s), min(float(last_s), high_s))
 
 
-def _of_kind(data: FitData, place: Boundary, before: Motion | None, after: Motion | None) -> Event:
+def _of_kind(
+    data: FitData, place: Boundary, before: Motion | None, after: Motion | None, cycle_s: float
+) -> Event:
     sd = np.sqrt(rough_variance(data))
     sizes = [_size(before, place.end_s, sd), _size(after, place.start_s, sd)]
-    rate = 0.0
+    rate, jump = 0.0, 1.0
     if after is not None and after.poles.size:
         strongest = int(np.argmax(np.sum(np.abs(after.amplitudes / sd) ** 2, axis=1)))
         rate = max(-float(after.poles[strongest].real), 0.0)
+    if before is not None and after is not None:
+        about_s = 0.5 * (place.end_s + place.start_s) + np.linspace(-0.5, 0.5, 17)[1:] * cycle_s
+        apart = (before.at(about_s)[0] - after.at(about_s)[0]) / sd
+        jump = float(np.sqrt(2.0 * np.mean(np.sum(apart**2, axis=1)))) / max(*sizes, 1e-300)
     kind: EventKind = "interruption"
     if after is None or sizes[1] < TUNING.fall * sizes[0]:
         kind = "fall"
     elif before is None or sizes[1] > TUNING.rise * sizes[0]:
         kind = "rise"
-    return Event(kind, place.end_s, place.start_s, rate, place.sd_s)
+    return Event(kind, place.end_s, place.start_s, rate, place.sd_s, jump)
 
 
 def _size(motion: Motion | None, time_s: float, sd: FloatArray) -> float:

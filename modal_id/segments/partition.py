@@ -79,7 +79,7 @@ def _divided(blocks: LineBlocks) -> list[Change]:
     if edges.size < 4:
         return []
     cost, noise = _total_costs(blocks)
-    stretches = _best_division(cost)
+    stretches = best_division(cost)
     power = np.nansum(np.abs(blocks.amplitude) ** 2, axis=(1, 2))
     mean = [float(np.mean(power[first:last])) for first, last in stretches]
     found: list[Change] = []
@@ -153,7 +153,7 @@ def _total_costs(blocks: LineBlocks) -> tuple[FloatArray, BoolArray]:
     return total, noise
 
 
-def _best_division(cost: FloatArray) -> list[tuple[int, int]]:
+def best_division(cost: FloatArray) -> list[tuple[int, int]]:
     """Stretches, as edges, whose costs have the least sum."""
     count = cost.shape[0]
     least, source = np.zeros(count), np.zeros(count, dtype=int)
