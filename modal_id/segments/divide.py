@@ -245,8 +245,11 @@ class _Division:
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following)
         joined = joined and (driven or not long or following is None or not _rises(following))
-        for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
-            onset = self._stop(begin_s, end_s, prior)
+        ends: list[tuple[float, Event | None]] = [(piece.end_s, None)]
+        if joined and following is not None:
+            ends.insert(0, (following.end_s, following.before))
+        for end_s, change in ends:
+            onset = self._stop(begin_s, end_s, prior, change)
             if onset is not None:
                 self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
@@ -266,11 +269,18 @@ class _Division:
             )
         return continued_onset(piece.before)
 
-    def _stop(self, start_s: float, end_s: float, prior: float) -> Onset | None:
-        if not self._may_hold_steady(start_s, end_s):
+    def _stop(self, start_s: float, end_s: float, prior: float, change: Event | None) -> Onset | None:
+        """Onset where a drive ends between two times: at a change, or where the search finds it."""
+        known_s = None
+        if change is not None:
+            width_s = float(
+                np.hypot(np.nan_to_num(change.sd_s), (change.end_s - change.start_s) / np.sqrt(12.0))
+            )
+            known_s = 0.5 * (change.start_s + change.end_s) - start_s, max(width_s, self.data.step_s)
+        elif not self._may_hold_steady(start_s, end_s):
             return None
         part = self.data.between(start_s, end_s)
-        found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base)
+        found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base, known_s)
         if found is None:
             return None
         driving, found = _Piece(start_s, start_s + found.time_s, None), _shifted(found, start_s)

@@ -62,14 +62,20 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
 
 
 def stop_of_shaking(
-    data: FitData, variance: FloatArray, frequency: float, lowest_hz: float, base: BoolArray
+    data: FitData,
+    variance: FloatArray,
+    frequency: float,
+    lowest_hz: float,
+    base: BoolArray,
+    known_s: tuple[float, float] | None = None,
 ) -> Onset | None:
     """Onset where steady shaking ends and a free decay follows; None where the data show no such change.
 
     `data` hold the channels and, where the mask `base` is True, those of the moving base, to which the others are
-    relative; `variance` is the noise variance of all of them. Times are relative to `data`.
+    relative; `variance` is the noise variance of all of them, `known_s` time and sd of a change that may be the end.
+    Times are relative to `data`.
     """
-    change = driven_then_free(data.channels(~base), variance[~base], frequency)
+    change = driven_then_free(data.channels(~base), variance[~base], frequency, known_s)
     if change is None or change.probability <= TUNING.likely:
         return None
     step, last = data.step_s, float(data.time_s[-1])

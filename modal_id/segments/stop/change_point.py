@@ -73,8 +73,12 @@ class _Split:
     free: PoleFit
 
 
-def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -> DrivenThenFree | None:
+def driven_then_free(
+    data: FitData, variance: FloatArray, frequency_hz: float, known_s: tuple[float, float] | None = None
+) -> DrivenThenFree | None:
     """Locate the change from driven to free motion; None when the record is too short.
+
+    Where the time of a change and its standard deviation are known, only its probability is to be found.
 
     Before it every channel moves with the drive (a sinusoid) and the transient of its start, after it with the free
     decay; offsets differ, since the base may stop anywhere. A motion that decays before the change as it does after is
@@ -88,21 +92,23 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     if cycles < 2.0 * TUNING.min_cycles + TUNING.min_free_cycles:
         return None
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    times = _grid(thin.span_s, frequency_hz)
+    times = _grid(thin.span_s, frequency_hz) if known_s is None else np.array(known_s[:1])
     # One by one: each holds several values for a sample.
     splits = (s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None)
     best = min(splits, key=lambda s: s.misfit, default=None)
     if best is None:
         return None
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
-    for _ in range(2):
+    time, sd = (best.time_s, data.step_s) if known_s is None else known_s
+    for _ in range(2 if known_s is None else 0):
         window = 0.12 * thin.span_s + 1.0 / frequency_hz
         time, sd = _locate(data, variance, best, window)
         again = _split(thin, time, frequency_hz, variance)
         if again is None:
             break
         best = replace(again, misfit=min(best.misfit, again.misfit))
-    time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
+    if known_s is None:
+        time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
     if (data.span_s - time) * frequency_hz < TUNING.min_free_cycles:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])

@@ -34,7 +34,7 @@ class Tuning:
     min_cycles: float = 3.0
     #: [samples] largest number of samples on either side
     #: convention: More add little and cost much.
-    max_rows: int = 5000
+    max_rows: int = 2000
     #: [1] largest number of times that a side is shortened
     max_shortenings: int = 5
     #: [cycles] sd of the middle of a real stop
