@@ -20,5 +20,6 @@ from .spectrum import local_level as local_level
 from .spectrum import mean_per_median as mean_per_median
 from .spectrum import nyquist_hz as nyquist_hz
 from .spectrum import power_spectrum as power_spectrum
+from .spectrum import residual_spectrum as residual_spectrum
 from .subspace import StabilityDiagram as StabilityDiagram
 from .subspace import stability_diagram as stability_diagram

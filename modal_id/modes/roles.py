@@ -20,6 +20,9 @@ class Tuning:
     #: [1] relative distance of frequencies within which two decays show the same motion
     #: convention: A hand shifts the frequency, too.
     same: float = 0.05
+    #: [1] ratio of amplitudes from which a later decay has the larger one
+    #: convention: That of a start located half a cycle early differs by less.
+    louder: float = 1.25
 
 
 TUNING = Tuning()
@@ -44,7 +47,7 @@ def held_odds(free: DecayValue, other: DecayValue) -> float:
     The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
     that settle; if one is held, it has `held_density`.
     """
-    if other.start_s < free.start_s or not other.amplitude < free.amplitude:
+    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
         return 0.0
     if not min(free.damping_ratio, other.damping_ratio) > 0.0:
         return 0.0

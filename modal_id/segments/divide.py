@@ -336,7 +336,7 @@ class _Division:
         if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:
             return True
         known = np.isfinite(self.level)
-        if not np.any(known):
+        if not np.any(known) or _rises(piece):
             return False
         half_s = float(self.block_s[0])
         within = known & (self.block_s >= piece.start_s + half_s) & (self.block_s <= piece.end_s - half_s)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, detrended
+from modal_id.fit import residual_spectrum
 from tracker import ComplexArray, FloatArray
 
 
@@ -24,18 +25,12 @@ class Tuning:
     most_blocks: int = 128
     #: [1] share of a block's samples that must be there
     complete: float = 0.6
-    #: [blocks] fewest blocks from which the noise of a line is measured
-    noise_blocks: int = 12
     #: [1] least noise of a sample over its channel's largest value
     #: convention: Values without noise would divide at every rounding error.
     least_noise: float = 1e-6
 
 
 TUNING = Tuning()
-
-# Third differences of white noise have 20 times its variance; quantile of an exponential distribution of mean 1.
-_THIRD, _SHARE = 20.0, 0.35
-_QUANTILE = float(-np.log1p(-_SHARE))
 
 
 @dataclass(frozen=True)
@@ -77,8 +72,7 @@ def shortest_block_s(data: FitData, tones_hz: tuple[float, ...]) -> float:
 def line_blocks(data: FitData, tones_hz: tuple[float, ...]) -> LineBlocks:
     """Amplitudes by least squares with a Hann window, beside an offset and its slope.
 
-    The noise of a line is the larger of that of white noise with the residual of the median block, and of what a block
-    differs from its neighbours.
+    The noise is the residual of the median block, with the spectral level beside each line.
     """
     last_s = float(data.time_s[-1]) + data.step_s
     blocks = min(TUNING.most_blocks, int(last_s / shortest_block_s(data, tones_hz)))
@@ -108,8 +102,10 @@ def line_blocks(data: FitData, tones_hz: tuple[float, ...]) -> LineBlocks:
     variance = np.maximum(_medians(square), least**2 + 1e-300)
     known = np.isfinite(square)
     excess = np.sum(np.where(known, square / variance, 0.0), axis=1) / np.maximum(np.sum(known, axis=1), 1)
+    spectrum = residual_spectrum(data, detrended(data), variance)
+    level = np.sqrt([max(spectrum.level_aside(hz), 1.0) for hz in tones_hz])
     with np.errstate(invalid="ignore"):
-        return LineBlocks(edges, _over_neighbours(amplitude / (gain * np.sqrt(variance))), excess)
+        return LineBlocks(edges, amplitude / (gain * np.sqrt(variance) * level[:, None]), excess)
 
 
 def _regression(columns: FloatArray, window: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -124,20 +120,3 @@ def _regression(columns: FloatArray, window: FloatArray, values: FloatArray) -> 
 def _medians(values: FloatArray) -> FloatArray:
     """Median of each column's finite values; 1 without any."""
     return np.array([np.median(v[np.isfinite(v)]) if np.any(np.isfinite(v)) else 1.0 for v in values.T])
-
-
-def _over_neighbours(amplitude: ComplexArray) -> ComplexArray:
-    """The amplitudes, those of a channel divided by the noise that their third differences show where it is over 1."""
-    scaled = amplitude.copy()
-    for tone, k in np.ndindex(amplitude.shape[1:]):
-        own = amplitude[:, tone, k]
-        if np.count_nonzero(np.isfinite(own)) < TUNING.noise_blocks:
-            continue
-        turn = np.nan_to_num(own[1:] * np.conj(own[:-1]))
-        phase = np.cumsum(np.append(0.0, np.angle(np.convolve(turn, np.ones(5), "same"))))
-        differs = np.abs(np.diff(own * np.exp(-1j * phase), 3)) ** 2
-        differs = differs[np.isfinite(differs)]
-        if 2 * differs.size >= TUNING.noise_blocks:
-            variance = float(np.quantile(differs, _SHARE)) / (_THIRD * _QUANTILE)
-            scaled[:, tone, k] /= max(1.0, np.sqrt(variance))
-    return scaled

@@ -60,9 +60,14 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     """Whether the line at this frequency decays significantly, and free decays leave little beside it."""
     data, fit, index = _line(data, line_hz, lowest_hz)
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
+    decays_ = -float(fit.poles[index].real) > _DECAY_SD * sd
+    return fit.converged and decays_ and _left(data, fit) < TUNING.most_left
+
+
+def _left(data: FitData, fit: PoleFit) -> float:
+    """Share of the power of the motion that a fit leaves."""
     centred = data.values - np.mean(data.values, axis=0)
-    left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
-    return fit.converged and -float(fit.poles[index].real) > _DECAY_SD * sd and left < TUNING.most_left
+    return float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
 
 
 def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
@@ -112,6 +117,9 @@ def holds_a_decay(model: ModalFit) -> bool:
 
 
 def _probability(data: FitData, fit: PoleFit, index: int, prior: float, follows: float | None) -> float:
+    if _left(data, fit) > TUNING.most_left:
+        # What free decays do not explain tells nothing of one of them.
+        return prior
     pole, span_s = complex(fit.poles[index]), data.span_s
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
     return drive_probability(-pole.real * span_s, sd * span_s, abs(pole) * span_s, prior, follows)
