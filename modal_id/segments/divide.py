@@ -358,7 +358,17 @@ class _Division:
     def _add(self, kind: SegmentKind, start_s: float, end_s: float, note: str = "") -> None:
         self.segments.append(Segment(kind, start_s, end_s, note))
 
+    def _without_transients(self) -> None:
+        """A decay that ends in a steady motion, without a rise, is the transient of a drive that has changed."""
+        for before, after in pairwise(sorted(self.segments, key=lambda s: s.start_s)):
+            risen = any(_rises(piece) and piece.start_s == after.start_s for piece in self.pieces)
+            if before.kind == "decay" and after.kind == "driven" and not risen:
+                self.decays = [one for one in self.decays if one.end_s != before.end_s]
+                at = self.segments.index(before)
+                self.segments[at] = replace(before, kind="driven", note="The drive changes.")
+
     def _result(self) -> RecordParts:
+        self._without_transients()
         driven = [s for s in self.segments if s.kind == "driven"]
         if driven:
             none = no_onset(

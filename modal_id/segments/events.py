@@ -30,6 +30,9 @@ class Tuning:
     relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
+    #: [1] largest growth of the logarithm of the amplitude of a mode that need not be driven
+    #: convention: Noise imitates a smaller one.
+    grows: float = 1.0
     #: [1] jump of the motion over its larger amplitude below which it is continuous
     joins: float = 0.4
     #: [1] largest number of changes at which the motion is continuous
@@ -145,18 +148,25 @@ def _one_motion(
     Any motion, or that of the side with more modes, because a mode that dies out on one side may be too weak to be
     found again; with constant poles, or one that changes evenly, as damping that depends on the amplitude does.
     """
-    rows = (_between(data, *spans[0]) | _between(data, *spans[1])) & np.any(data.weights > 0.0, axis=1)
-    part = data.rows(rows)
-    one = fitted_motion(part, cycle_s, lowest_hz, last=True)
-    trials = [(one, one.rss, 0)]
-    more = max(before, after, key=lambda side: side.poles.size)
-    if more.poles.size > one.poles.size:
-        other = fitted_motion(part, cycle_s, lowest_hz, last=True, poles=more.poles)
-        trials.append((other, other.rss, 0))
-    trials += [(motion, _bent_rss(motion.model), 4) for motion, _, _ in trials if motion.model is not None]
-    for motion, rss, further in trials:
-        if _is_rather_one(motion, rss, further * rss.size, before, after):
-            return motion
+    # without the outliers of either side
+    rows = [_between(data, *span) & np.any(data.weights > 0.0, axis=1) for span in spans]
+    weights = [
+        data.weights[own] if side.model is None else side.model.data.weights
+        for own, side in zip(rows, (before, after), strict=True)
+    ]
+    part = replace(data.rows(rows[0] | rows[1]), weights=np.concatenate(weights))
+    most, span_s = max(before.poles.size, after.poles.size), spans[1][1] - spans[0][0]
+    for poles in (None, before.poles, after.poles):
+        if poles is not None and not poles.size:
+            continue
+        one = fitted_motion(part, cycle_s, lowest_hz, last=True, poles=poles)
+        # More modes than either side shows imitate a change; modes that grow are not free.
+        if one.poles.size > most or np.any(one.poles.real * span_s > TUNING.grows):
+            continue
+        if _is_rather_one(one, one.rss, 0, before, after):
+            return one
+        if one.model is not None and _is_rather_one(one, _bent_rss(one.model), 4, before, after):
+            return one
     return None
 
 
@@ -176,18 +186,21 @@ def _bent_rss(model: ModalFit) -> FloatArray:
     return rss
 
 
-def _is_rather_one(one: Motion, rss: FloatArray, further: int, before: Motion, after: Motion) -> bool:
+def _is_rather_one(one: Motion, rss: FloatArray, bends: int, before: Motion, after: Motion) -> bool:
     """Whether one motion explains the samples of both sides better than two, by the information criterion.
 
-    `rss` is its residual sum of squares, with `further` parameters beside its own.
+    `rss` is its residual sum of squares, with `bends` further parameters of each channel.
     """
     power = 0.5 * np.sum(np.abs(before.amplitudes) ** 2, axis=0) * before.count
     power += 0.5 * np.sum(np.abs(after.amplitudes) ** 2, axis=0) * after.count
     error = TUNING.relative_error**2 * power + 1e-300
-    gain = float(np.sum(one.count * np.log((rss + error) / (before.rss + after.rss + error))))
+    two = before.rss + after.rss
+    if np.all(rss - two < error):
+        return True
+    gain = float(np.sum(one.count * np.log((rss + error) / (two + error))))
     # Noise with more power at the mode than white noise gains as much more by chance.
     gain /= max(one.level, before.level, after.level)
-    more = before.parameters + after.parameters - one.parameters - further + 1
+    more = before.parameters + after.parameters - one.parameters - bends * rss.size + 1
     return gain < more * float(np.log(np.sum(one.count)))
 
 

@@ -31,7 +31,7 @@ class Tuning:
     #: [blocks] longest stretch of noise that belongs to a change
     #: convention: A click without duration disturbs two.
     click_blocks: int = 3
-    #: [1] power of a longer one, over the lesser of those beside it, from which it does
+    #: [1] power of a longer one, over the geometric mean of those beside it, from which it does
     #: convention: Rest is quieter.
     loud: float = 0.1
     #: [1] mean square residual of a block over the median from which it holds a burst
@@ -87,8 +87,8 @@ def _divided(blocks: LineBlocks) -> list[Change]:
     for k, (first, last) in enumerate(stretches[1:], 1):
         noisy, gap = low_s >= 0.0, not (seen[first - 1] and seen[first])
         low_s = low_s if noisy else _reach(edges, seen, first)[0]
-        inner = k + 1 < len(stretches) and noise[first, last]
-        loud = inner and mean[k] > TUNING.loud * min(mean[k - 1], mean[k + 1])
+        inner = k + 1 < len(stretches) and noise[first, last] and not noise[stretches[k + 1]]
+        loud = inner and mean[k] > TUNING.loud * np.sqrt(mean[k - 1] * mean[k + 1])
         if inner and (loud or last - first <= TUNING.click_blocks):
             continue
         at = first

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data import FitData
+from modal_id.data import FitData, rough_variance
 from modal_id.fit import ModalFit, find_modes
 from modal_id.segments.drive_odds import PRIOR, drive_probability, is_rather_driven
 from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
@@ -65,9 +65,10 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
 
 
 def _left(data: FitData, fit: PoleFit) -> float:
-    """Share of the power of the motion that a fit leaves."""
+    """Share of the power of the motion that a fit leaves beyond noise."""
     centred = data.values - np.mean(data.values, axis=0)
-    return float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
+    left = float(np.sum(np.maximum(fit.linear.rss - rough_variance(data) * data.counts, 0.0)))
+    return left / max(float(np.sum(data.weights * centred**2)), 1e-300)
 
 
 def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
