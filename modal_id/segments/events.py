@@ -30,6 +30,9 @@ class Tuning:
     relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
+    #: [1] largest change of the decay rate of one motion, over half its length
+    #: convention: A factor of e in the amplitude.
+    bends: float = 1.0
     #: [1] largest growth of the logarithm of the amplitude of a mode that need not be driven
     #: convention: Noise imitates a smaller one.
     grows: float = 1.0
@@ -171,19 +174,27 @@ def _one_motion(
 
 
 def _bent_rss(model: ModalFit) -> FloatArray:
-    """Residual sum of squares of each channel where the pole of the strongest mode may change evenly in time."""
+    """Residual sum of squares of each channel where the pole of the strongest mode may change evenly in time.
+
+    Infinite where it changes by more than damping that depends on the amplitude does.
+    """
     data, poles = model.data, model.fit.poles
     since = np.linspace(-1.0, 1.0, data.time_s.size)[:, None]
     waves = mode_functions(data.time_s, poles)
     own = waves[:, [model.strongest]]
     ramps = real_columns(np.concatenate([waves, own * since, own * since**2], axis=1))
     columns = np.concatenate([baseline_matrix(data.time_s, model.bandwidth_hz), ramps], axis=1)
-    rss = np.empty(data.values.shape[1])
+    rss, rates = np.empty(data.values.shape[1]), np.empty((2, data.values.shape[1]))
     for k in range(rss.size):
         root = np.sqrt(data.weights[:, k])
         solution = np.linalg.lstsq(columns * root[:, None], data.values[:, k] * root, rcond=1e-9)[0]
         rss[k] = np.sum((root * (data.values[:, k] - columns @ solution)) ** 2)
-    return rss
+        amplitudes = solution[-ramps.shape[1] :].reshape(-1, 2) @ np.array([1.0, -1j])
+        at, slope, bend = amplitudes[[model.strongest, -2, -1]]
+        rates[:, k] = [((slope + 2.0 * x * bend) / (at + x * slope + bend)).real for x in (-1.0, 1.0)]
+    power = np.abs(model.fit.linear.amplitudes[model.strongest]) ** 2 / model.fit.linear.noise_variance
+    change = abs(float(np.diff(rates[:, np.argmax(power)])[0]))
+    return rss if change < TUNING.bends else np.full(rss.size, np.inf)
 
 
 def _is_rather_one(one: Motion, rss: FloatArray, bends: int, before: Motion, after: Motion) -> bool:

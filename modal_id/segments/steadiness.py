@@ -30,6 +30,8 @@ class Tuning:
     close_beats: float = 4.0
     #: [1] share of the power that the fit of a free decay may leave
     most_left: float = 0.05
+    #: [1] share from which the fit tells nothing of a drive
+    unexplained: float = 0.3
 
 
 TUNING = Tuning()
@@ -118,7 +120,7 @@ def holds_a_decay(model: ModalFit) -> bool:
 
 
 def _probability(data: FitData, fit: PoleFit, index: int, prior: float, follows: float | None) -> float:
-    if _left(data, fit) > TUNING.most_left:
+    if _left(data, fit) > TUNING.unexplained:
         # What free decays do not explain tells nothing of one of them.
         return prior
     pole, span_s = complex(fit.poles[index]), data.span_s
