@@ -31,8 +31,8 @@ class Tuning:
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
     #: [1] largest change of the decay rate of one motion, over half its length
-    #: convention: A factor of e in the amplitude.
-    bends: float = 1.0
+    #: physics: A hand changes it by more within a dozen cycles.
+    bends: float = 2.0
     #: [1] largest growth of the logarithm of the amplitude of a mode that need not be driven
     #: convention: Noise imitates a smaller one.
     grows: float = 1.0
@@ -211,8 +211,14 @@ def _is_rather_one(one: Motion, rss: FloatArray, bends: int, before: Motion, aft
     gain = float(np.sum(one.count * np.log((rss + error) / (two + error))))
     # Noise with more power at the mode than white noise gains as much more by chance.
     gain /= max(one.level, before.level, after.level)
-    more = before.parameters + after.parameters - one.parameters - bends * rss.size + 1
-    return gain < more * float(np.log(np.sum(one.count)))
+    penalty = _penalty(before) + _penalty(after) + 1.0 - _penalty(one) - bends * rss.size
+    return gain < penalty * float(np.log(np.sum(one.count)))
+
+
+def _penalty(motion: Motion) -> float:
+    """Number of parameters, with the factor for few samples (Hurvich & Tsai 1989, doi:10.1093/biomet/76.2.297)."""
+    n, p = float(np.sum(motion.count)), float(motion.parameters)
+    return p * n / max(n - p - 1.0, 1.0)
 
 
 def _click(data: FitData, motion: Motion, low_s: float, high_s: float, cycle_s: float) -> Event | None:

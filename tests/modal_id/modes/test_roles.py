@@ -60,7 +60,7 @@ def test_odds_grow_with_the_ratio_and_fall_with_its_uncertainty(ratio, relative_
     assert odds(10.0, 1.0) < odds(10.0, relative_sd)
 
 
-@pytest.mark.parametrize("change", [{"start_s": -1.0}, {"amplitude": 1.0}, {"amplitude": float("nan")}])
+@pytest.mark.parametrize("change", [{"start_s": -1.0}, {"amplitude": 1.3}, {"amplitude": float("nan")}])
 def test_an_earlier_or_larger_motion_is_not_held(change):
     """Damping that grows with the amplitude does the same."""
     other = replace(FREE, start_s=1.0, amplitude=0.5, damping_ratio=30.0 * ZETA, damping_ratio_sd=ZETA)
