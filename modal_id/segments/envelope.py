@@ -1,4 +1,4 @@
-"""Amplitude, offset and residual of the dominant motion in short windows: the envelope of a record."""
+"""Amplitude of the dominant motion in short windows: the envelope of a record."""
 
 from __future__ import annotations
 
@@ -37,53 +37,28 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class Envelope:
-    """Least squares of offset, amplitude and their slopes in windows of two cycles, k channels.
+    """Amplitude in windows of two cycles, k channels, by least squares beside its slope, an offset and the offset's.
 
     Attributes
     ----------
     time_s : array, shape (m,)
         Centres of the windows.
-    half_s : float
-        Half the length of a window.
     state : complex array, shape (m, k)
-        Amplitude ``c`` of ``Re(c exp(i omega t))``; NaN where a window has too few samples. As all that follow, 0 in a
-        channel that is left out, because most of its windows have too few.
-    state_slope : complex array, shape (m, k)
-        Its derivative.
-    offset, offset_slope : array, shape (m, k)
-    residual : array, shape (m, k)
-        Mean square residual per degree of freedom.
+        Amplitude ``c`` of ``Re(c exp(i omega t))``; NaN where a window has too few samples; 0 in a channel that is left
+        out, because most of its windows have too few.
     noise : array, shape (k,)
         Standard deviation of a sample: the median residual. Motion that two cycles do not resolve is part of it.
         Infinite in a channel that is left out.
-    samples : float
-        Number of samples in a window.
     """
 
     time_s: FloatArray
-    half_s: float
     state: ComplexArray
-    state_slope: ComplexArray
-    offset: FloatArray
-    offset_slope: FloatArray
-    residual: FloatArray
     noise: FloatArray
-    samples: float
 
     @property
     def amplitude(self) -> FloatArray:
         """Amplitude relative to the noise of a sample: root sum of squares over the channels; shape (m,)."""
         return np.asarray(np.sqrt(np.sum(np.abs(self.state / self.noise) ** 2, axis=1)))
-
-    @property
-    def amplitude_sd(self) -> float:
-        """Standard deviation of `amplitude` for white noise."""
-        return float(np.sqrt(2.0 / self.samples))
-
-    @property
-    def excess(self) -> FloatArray:
-        """Mean square residual relative to the noise, over the channels; shape (m,)."""
-        return np.asarray(np.sum(self.residual / self.noise**2, axis=1) / np.count_nonzero(self.used))
 
     @property
     def used(self) -> BoolArray:
@@ -143,7 +118,7 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
     found = windows(data, frequency_hz)
     if found is None:
         return None
-    half_s, channels = found.half_s, data.values.shape[1]
+    channels = data.values.shape[1]
     beta, residual = np.empty((found.first.size, 6, channels)), np.empty((found.first.size, channels))
     for some in found.blocks():
         columns, rows = found.columns(some), found.rows(some)
@@ -154,17 +129,8 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
     beta[:, :, ~used], residual[:, ~used] = 0.0, 0.0
     noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(counts) else np.ones(channels)
     floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300
-    return Envelope(
-        found.centre_s,
-        half_s,
-        np.asarray(beta[:, 1] + 1j * beta[:, 2], dtype=complex),
-        np.asarray((beta[:, 4] + 1j * beta[:, 5]) / half_s, dtype=complex),
-        beta[:, 0],
-        beta[:, 3] / half_s,
-        residual,
-        np.where(used, np.maximum(noise, floor), np.inf),
-        float(found.samples),
-    )
+    state = np.asarray(beta[:, 1] + 1j * beta[:, 2], dtype=complex)
+    return Envelope(found.centre_s, state, np.where(used, np.maximum(noise, floor), np.inf))
 
 
 def _solved(
