@@ -12,7 +12,7 @@ from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import find_tones
 from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
 from modal_id.segments.envelope import HOPS, short_time
-from modal_id.segments.events import Event, find_events
+from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
     no_onset,
@@ -232,7 +232,7 @@ class _Division:
         last_s = float(np.max(seen, initial=piece.start_s))
         cycles = (last_s - piece.start_s) * self.frequency_hz
         tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
-        prior = PRIOR_AFTER_RISE if _rises(piece) else PRIOR
+        prior = _prior(piece)
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         driven = (
             long
@@ -359,13 +359,14 @@ class _Division:
         self.segments.append(Segment(kind, start_s, end_s, note))
 
     def _without_transients(self) -> None:
-        """A decay that ends in a steady motion, without a rise, is the transient of a drive that has changed."""
-        for before, after in pairwise(sorted(self.segments, key=lambda s: s.start_s)):
-            risen = any(_rises(piece) and piece.start_s == after.start_s for piece in self.pieces)
-            if before.kind == "decay" and after.kind == "driven" and not risen:
-                self.decays = [one for one in self.decays if one.end_s != before.end_s]
-                at = self.segments.index(before)
-                self.segments[at] = replace(before, kind="driven", note="The drive changes.")
+        """A decay between two steady motions is the transient of a drive that has changed."""
+        order = sorted(self.segments, key=lambda s: s.start_s)
+        for first, one, last in zip(order, order[1:], order[2:], strict=False):
+            if (first.kind, one.kind, last.kind) == ("driven", "decay", "driven"):
+                self.decays = [d for d in self.decays if d.end_s != one.end_s]
+                self.segments[self.segments.index(one)] = replace(
+                    one, kind="driven", note="The drive changes."
+                )
 
     def _result(self) -> RecordParts:
         self._without_transients()
@@ -394,6 +395,11 @@ def _within(time_s: FloatArray, event: Event) -> BoolArray:
 
 def _rises(piece: _Piece) -> bool:
     return piece.before is not None and piece.before.kind == "rise"
+
+
+def _prior(piece: _Piece) -> float:
+    """Probability of a drive: a motion that does not join the one before is more often plucked than driven."""
+    return PRIOR_AFTER_RISE if piece.before is not None and piece.before.jump >= JOINS else PRIOR
 
 
 def _shifted(onset: Onset, by_s: float) -> Onset:

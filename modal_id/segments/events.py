@@ -30,9 +30,11 @@ class Tuning:
     relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
-    #: [1] largest change of the decay rate of one motion, over half its length
-    #: physics: A hand changes it by more within a dozen cycles.
-    bends: float = 2.0
+    #: [1] change of the decay rate of one motion, over half its length, that counts as none
+    bends: float = 0.3
+    #: [1] largest ratio of the decay rates at its ends
+    #: convention: Damping that depends on the amplitude; a hand changes it by more.
+    steeper: float = 3.0
     #: [1] largest growth of the logarithm of the amplitude of a mode that need not be driven
     #: convention: Noise imitates a smaller one.
     grows: float = 1.0
@@ -48,7 +50,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-
+JOINS = TUNING.joins
 
 EventKind = Literal["rise", "fall", "interruption", "burst"]
 
@@ -193,8 +195,10 @@ def _bent_rss(model: ModalFit) -> FloatArray:
         at, slope, bend = amplitudes[[model.strongest, -2, -1]]
         rates[:, k] = [((slope + 2.0 * x * bend) / (at + x * slope + bend)).real for x in (-1.0, 1.0)]
     power = np.abs(model.fit.linear.amplitudes[model.strongest]) ** 2 / model.fit.linear.noise_variance
-    change = abs(float(np.diff(rates[:, np.argmax(power)])[0]))
-    return rss if change < TUNING.bends else np.full(rss.size, np.inf)
+    own_rate = -0.5 * float(poles[model.strongest].real) * data.span_s
+    low, high = np.sort(own_rate - rates[:, np.argmax(power)])
+    bends = high - low < TUNING.bends or high < TUNING.steeper * low
+    return rss if bends else np.full(rss.size, np.inf)
 
 
 def _is_rather_one(one: Motion, rss: FloatArray, bends: int, before: Motion, after: Motion) -> bool:
