@@ -275,7 +275,7 @@ def fit_band(
     gradient, information = _score(model, data)
     for count in range(TUNING.steps):
         scale = np.maximum(np.diag(information), 1e-12)
-        step = np.linalg.solve(information + damping * np.diag(scale), gradient)
+        step = np.asarray(np.linalg.solve(information + damping * np.diag(scale), gradient), dtype=np.float64)
         if count > TUNING.patience and value + TUNING.optimism * float(gradient @ step) < wanted:
             break
         trial = _limited(model, model.vector + _shortened(step, model.count), data, limits_hz)
@@ -333,7 +333,9 @@ def _score(model: BandModel, data: BandData) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log likelihood, shape (p,), and the Fisher information, shape (p, p)."""
     g, r = data.cross.shape[:2]
     response = responses(model, data)
-    inverse = np.linalg.inv(np.linalg.cholesky(_spectrum(model, data, response)))
+    inverse: ComplexArray = np.linalg.inv(np.linalg.cholesky(_spectrum(model, data, response))).astype(
+        complex
+    )
     misfit = inverse @ data.cross @ np.conj(np.swapaxes(inverse, 1, 2)) - data.bins[:, None, None] * np.eye(r)
     changes = _mode_changes(model, data, response, inverse)
     factor, background = (inverse @ one for one in _factors(model, data, response))
