@@ -10,8 +10,9 @@ from modal_id.ambient.bands import TUNING as BANDS
 from modal_id.ambient.bands import Band, Peak, band_data, bands_of, find_peaks_of, singular_values
 from modal_id.ambient.expected import variance
 from modal_id.ambient.law import law_note
+from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandFit, spectrum
-from modal_id.ambient.order import Order, choose_order
+from modal_id.ambient.order import Order, choose_order, shares
 from modal_id.ambient.spectrum import Spectrum, spectrum_of
 from modal_id.ambient.stationarity import not_stationary
 from modal_id.data import Prepared
@@ -39,6 +40,14 @@ class Tuning:
     #: [1] draws of a mode in each ensemble
     #: statistics: Their 5 % quantile has an error of 0.05 sd.
     draws: int = 2000
+    #: [1] share of a mode in the power at its frequency in its own direction
+    #: physics: Below one half, the rest of the motion hides its peak: it is what the skirts of a stronger mode leave.
+    least_share: float = 0.5
+    #: [1] half-width over the largest that a band allows, from which a response is part of the background
+    widest: float = 0.9
+    #: [1] factor on the width of a peak whose band holds no mode at first
+    #: physics: The width may be that of a lobe of noise.
+    wider: float = 4.0
     #: [1] sd of ln zeta from which a mode is not determined
     #: statistics: The 90 % interval then covers a factor of 5 either way.
     most_log_sd: float = 1.0
@@ -118,7 +127,7 @@ def identify_ambient(
     if problem is not None:
         return replace(problem, where=series.name)
     result = _assembled(series, prepared, settings, found, listed, failed)
-    record = AmbientRecord(*_curve(found), _spectral_bands(bands, fits))
+    record = AmbientRecord(*_curve(found), _spectral_bands(bands, fits, listed))
     return with_rate_error(replace(result, ambient=record))
 
 
@@ -128,6 +137,9 @@ def _first_modes(found: Spectrum) -> tuple[list[Peak], list[float]]:
     lines_hz = []
     for band in bands_of(found, find_peaks_of(found)):
         model = _fitted(found, band, peaks_only=True).fit.model
+        if model.count == 0:
+            wider = [p._replace(half_width_hz=TUNING.wider * p.half_width_hz) for p in band.peaks]
+            model = _fitted(found, bands_of(found, wider)[0], peaks_only=True).fit.model
         for hz, half_hz in zip(np.exp(model.log_hz), np.exp(model.log_hz + model.log_zeta), strict=True):
             if 2.0 * np.pi * half_hz * found.span_s < TUNING.least_turns:
                 lines_hz.append(float(hz))
@@ -143,8 +155,11 @@ def _modes_of(found: Spectrum, seen: list[Peak]) -> tuple[list[Band], list[_Foun
         order = _fitted(found, band, peaks_only=False)
         bands.append(band)
         fits.append(order.fit)
+        half_hz = np.exp(order.fit.model.log_hz + order.fit.model.log_zeta)
+        told = shares(order.fit) > TUNING.least_share
+        told &= half_hz < TUNING.widest * MODEL.widest * (band.high_hz - band.low_hz)
         modes += [
-            _mode(found, band, order.fit, index, log_odds) for index, log_odds in enumerate(order.log_odds)
+            _mode(found, band, order.fit, index, order.log_odds[index]) for index in np.flatnonzero(told)
         ]
     return bands, sorted(modes, key=lambda one: one.frequency_hz), fits
 
@@ -369,14 +384,14 @@ def _largest(fit: BandFit) -> FloatArray:
     return np.asarray(np.linalg.eigvalsh(matrix)[:, -1], dtype=np.float64)
 
 
-def _spectral_bands(bands: list[Band], fits: list[BandFit]) -> tuple[AmbientBand, ...]:
+def _spectral_bands(bands: list[Band], fits: list[BandFit], modes: list[_Found]) -> tuple[AmbientBand, ...]:
     return tuple(
         AmbientBand(
             band.low_hz,
             band.high_hz,
             fit.data.frequency_hz,
             _largest(fit),
-            fit.model.count,
+            sum(band.low_hz <= one.frequency_hz <= band.high_hz for one in modes),
         )
         for band, fit in zip(bands, fits, strict=True)
     )

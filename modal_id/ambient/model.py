@@ -19,8 +19,8 @@ class Tuning:
     #: physics: Far above the resonance of another mode its displacement falls with the fourth power of the frequency.
     exponent_sd: float = 2.0
     #: [1] predicted gain in log likelihood below which the maximum is reached
-    #: statistics: A thousandth of the gain that moves a parameter by one sd, 0.5.
-    converged: float = 5e-4
+    #: statistics: A hundredth of the gain that moves a parameter by one sd, 0.5.
+    converged: float = 5e-3
     #: [1] largest number of steps
     steps: int = 40
     #: [steps] number of steps after which a fit that falls short is given up

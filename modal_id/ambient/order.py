@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import (
     BandData,
     BandFit,
@@ -33,9 +32,6 @@ class Tuning:
     #: [1] gain predicted by the score test, over what the evidence asks for, below which a mode is not fitted
     #: measurement: The gain after the fit is up to five times that from amplitude 0.
     promising: float = 0.25
-    #: [1] share of a mode in the power at its frequency in its own direction
-    #: physics: Below one half, the rest of the motion hides its peak.
-    least_share: float = 0.5
     #: [half-widths] width of a band, at least
     #: physics: A wider response is not told from the background.
     least_reach: float = 8.0
@@ -57,19 +53,13 @@ class Order:
     log_odds: tuple[float, ...]
 
 
-def stand_out(fit: BandFit, limits_hz: tuple[float, float]) -> bool:
-    """Whether each mode rises above the others and the background, at its frequency and in its own direction.
-
-    Otherwise it is what the model of the skirts of a stronger mode leaves, and so is one as wide as the band allows.
-    """
+def shares(fit: BandFit) -> FloatArray:
+    """Largest share of each mode in the power at a frequency in its own direction, shape (m,)."""
     model, data = fit.model, fit.data
-    half_hz = np.exp(model.log_hz + model.log_zeta)
-    if np.any(half_hz > 0.9 * MODEL.widest * (limits_hz[1] - limits_hz[0])):
-        return False
     power = np.abs(responses(model, data)) ** 2
-    inverse = np.linalg.inv(spectrum(model, data))
-    share = np.real(np.einsum("gm,rm,grs,sm->gm", power, model.shapes, inverse, model.shapes, optimize=True))
-    return bool(np.all(np.max(share, axis=0) > TUNING.least_share))
+    inverse = np.real(np.linalg.inv(spectrum(model, data)))
+    own = np.einsum("rm,grs,sm->gm", model.shapes, inverse, model.shapes, optimize=True)
+    return np.asarray(np.max(power * own, axis=0, initial=0.0), dtype=np.float64)
 
 
 def without_modes(data: BandData) -> BandModel:
@@ -124,13 +114,12 @@ def choose_order(
         # Twice the coherences with the modes so far, the shape, frequency and damping ratio.
         price = 0.5 * (2 * fit.model.count + data.size + 2) * np.log(total) + log_places
         guesses = [_from_peak(fit, *peak) for peak in _unexplained(fit.model, peaks)[: TUNING.peaks]]
-        if not guesses and not peaks_only:
+        if not peaks_only and (fit.model.count or not guesses):
             guesses += further_modes(fit, limits_hz, [half for _, half in peaks], price)
         for guess in guesses:
             wanted = fit.log_likelihood + price if best is None else best.log_likelihood
             trial = fit_band(guess, fit.data, limits_hz, wanted)
-            better = best is None or trial.log_likelihood > best.log_likelihood
-            if better and (peaks_only or stand_out(trial, limits_hz)):
+            if best is None or trial.log_likelihood > best.log_likelihood:
                 best = trial
         if best is None:
             break
