@@ -30,7 +30,7 @@ from modal_id.results import (
     Posterior,
 )
 from modal_id.settings import IdentifySettings
-from tracker import DisplacementSeries, Failure, FloatArray
+from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,10 @@ class Tuning:
     #: [1] factor on the width of a peak whose band holds no mode at first
     #: physics: The width may be that of a lobe of noise.
     wider: float = 4.0
+    #: [rounds] number of times that bands are chosen by the damping ratios fitted before
+    rounds: int = 2
+    #: [1] change of the limits of a band over its width, below which it is not fitted again
+    same_band: float = 0.1
     #: [1] sd of ln zeta from which a mode is not determined
     #: statistics: The 90 % interval then covers a factor of 5 either way.
     most_log_sd: float = 1.0
@@ -112,14 +116,18 @@ def identify_ambient(
     found = spectrum_of(prepared.data)
     if isinstance(found, Failure):
         return replace(found, where=series.name)
-    seen, lines_hz = _first_modes(found)
-    found = found.without(lines_hz)
+    found, fitted, lines_hz = _bands(found)
     failed = [FailedMode(_LINE.format(hz=hz), frequency_hz=hz) for hz in lines_hz]
-    bands, modes, fits = _modes_of(found, seen)
+    modes = [
+        _mode(found, one.band, one.order.fit, index, one.order.log_odds[index])
+        for one in fitted
+        for index in np.flatnonzero(one.stands_out & one.fits_in)
+    ]
+    modes.sort(key=lambda one: one.frequency_hz)
     listed, others = _sorted_out(found, modes)
     failed += others
     if not listed:
-        reason = "; ".join(one.reason for one in failed) or _nothing(found, bands)
+        reason = "; ".join(one.reason for one in failed) or _nothing(found, len(fitted))
         return Failure(reason, series.name, "record longer, closer, or with more excitation")
     listed = [_in_channels(one, prepared, len(series.channels)) for one in listed]
     strongest = max(listed, key=lambda one: float(np.nanmax(np.abs(one.shape))))
@@ -127,49 +135,73 @@ def identify_ambient(
     if problem is not None:
         return replace(problem, where=series.name)
     result = _assembled(series, prepared, settings, found, listed, failed)
-    record = AmbientRecord(*_curve(found), _spectral_bands(bands, fits, listed))
+    record = AmbientRecord(*_curve(found), _spectral_bands(fitted, listed))
     return with_rate_error(replace(result, ambient=record))
 
 
-def _first_modes(found: Spectrum) -> tuple[list[Peak], list[float]]:
-    """Modes of the peaks alone, whose damping ratios give the bands, and the frequencies of lines."""
-    seen: list[Peak] = []
+@dataclass(frozen=True)
+class _Fitted:
+    """A band with its modes: which of them stand out, and whether the band is wide enough for each, shape (m,)."""
+
+    band: Band
+    order: Order
+
+    @property
+    def stands_out(self) -> BoolArray:
+        return shares(self.order.fit) > TUNING.least_share
+
+    @property
+    def fits_in(self) -> BoolArray:
+        widest = TUNING.widest * MODEL.widest * (self.band.high_hz - self.band.low_hz)
+        return np.array([peak.half_width_hz < widest for peak in self.peaks], dtype=bool)
+
+    @property
+    def peaks(self) -> list[Peak]:
+        model = self.order.fit.model
+        hz, half_hz = np.exp(model.log_hz).tolist(), np.exp(model.log_hz + model.log_zeta).tolist()
+        return [Peak(f, half, 0.0) for f, half in zip(hz, half_hz, strict=True)]
+
+    def is_of(self, band: Band) -> bool:
+        """Whether a band is nearly this one."""
+        width = band.high_hz - band.low_hz
+        moved = abs(band.low_hz - self.band.low_hz) + abs(band.high_hz - self.band.high_hz)
+        return moved < TUNING.same_band * width and len(band.peaks) == int(np.sum(self.stands_out))
+
+
+def _bands(found: Spectrum) -> tuple[Spectrum, list[_Fitted], list[float]]:
+    """The fitted bands, the spectrum without lines, and the frequencies of lines.
+
+    The first bands are those of the peaks; damping ratios that were fitted give the next ones.
+    """
+    fitted = [_fitted(found, band) for band in bands_of(found, find_peaks_of(found))]
     lines_hz = []
-    for band in bands_of(found, find_peaks_of(found)):
-        model = _fitted(found, band, peaks_only=True).fit.model
-        if model.count == 0:
-            wider = [p._replace(half_width_hz=TUNING.wider * p.half_width_hz) for p in band.peaks]
-            model = _fitted(found, bands_of(found, wider)[0], peaks_only=True).fit.model
-        for hz, half_hz in zip(np.exp(model.log_hz), np.exp(model.log_hz + model.log_zeta), strict=True):
-            if 2.0 * np.pi * half_hz * found.span_s < TUNING.least_turns:
-                lines_hz.append(float(hz))
-            else:
-                seen.append(Peak(float(hz), float(half_hz), 0.0))
-    return seen, lines_hz
-
-
-def _modes_of(found: Spectrum, seen: list[Peak]) -> tuple[list[Band], list[_Found], list[BandFit]]:
-    """Bands, modes in order of frequency, and the fit of each band."""
-    bands, modes, fits = [], [], []
-    for band in bands_of(found, seen):
-        order = _fitted(found, band, peaks_only=False)
-        bands.append(band)
-        fits.append(order.fit)
-        half_hz = np.exp(order.fit.model.log_hz + order.fit.model.log_zeta)
-        told = shares(order.fit) > TUNING.least_share
-        told &= half_hz < TUNING.widest * MODEL.widest * (band.high_hz - band.low_hz)
-        modes += [
-            _mode(found, band, order.fit, index, order.log_odds[index]) for index in np.flatnonzero(told)
+    for _ in range(TUNING.rounds):
+        seen = []
+        for one in fitted:
+            # A response as wide as its band allows is the mode itself in too narrow a band, or the background.
+            kept = one.stands_out & (one.fits_in | (one.order.fit.model.count == 1))
+            for peak in (peak for peak, is_kept in zip(one.peaks, kept, strict=True) if is_kept):
+                if 2.0 * np.pi * peak.half_width_hz * found.span_s < TUNING.least_turns:
+                    lines_hz.append(peak.frequency_hz)
+                else:
+                    seen.append(peak)
+        found = found.without(lines_hz)
+        fitted = [
+            next((one for one in fitted if one.is_of(band)), None) or _fitted(found, band)
+            for band in bands_of(found, seen)
         ]
-    return bands, sorted(modes, key=lambda one: one.frequency_hz), fits
+    return found, fitted, lines_hz
 
 
-def _fitted(found: Spectrum, band: Band, *, peaks_only: bool) -> Order:
+def _fitted(found: Spectrum, band: Band) -> _Fitted:
     known = [(peak.frequency_hz, peak.half_width_hz) for peak in band.peaks]
     data = band_data(found, band, known)
-    log_places = float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz)))
-    limits = (band.low_hz, band.high_hz)
-    return choose_order(data, limits, known, max(log_places, 0.0), peaks_only=peaks_only)
+    log_places = max(float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz))), 0.0)
+    order = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
+    if order.fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
+        wider = band.peaks[0]._replace(half_width_hz=TUNING.wider * band.peaks[0].half_width_hz, strength=0.0)
+        return _fitted(found, bands_of(found, [wider])[0])
+    return _Fitted(band, order)
 
 
 def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float) -> _Found:
@@ -241,11 +273,11 @@ def _sorted_out(found: Spectrum, modes: list[_Found]) -> tuple[list[_Found], lis
     return good, failed
 
 
-def _nothing(found: Spectrum, bands: list[Band]) -> str:
+def _nothing(found: Spectrum, bands: int) -> str:
     if found.frequency_hz.size < BANDS.least_reach:
         return f"the record of {found.span_s:.3g} s is too short for its spectrum to show a mode"
     return (
-        f"no band of the spectrum holds a mode with odds above 0.9 ({len(bands)} examined, record of "
+        f"no band of the spectrum holds a mode with odds above 0.9 ({bands} examined, record of "
         f"{found.span_s / 60.0:.3g} min)"
     )
 
@@ -384,14 +416,14 @@ def _largest(fit: BandFit) -> FloatArray:
     return np.asarray(np.linalg.eigvalsh(matrix)[:, -1], dtype=np.float64)
 
 
-def _spectral_bands(bands: list[Band], fits: list[BandFit], modes: list[_Found]) -> tuple[AmbientBand, ...]:
+def _spectral_bands(fitted: list[_Fitted], modes: list[_Found]) -> tuple[AmbientBand, ...]:
     return tuple(
         AmbientBand(
-            band.low_hz,
-            band.high_hz,
-            fit.data.frequency_hz,
-            _largest(fit),
-            sum(band.low_hz <= one.frequency_hz <= band.high_hz for one in modes),
+            one.band.low_hz,
+            one.band.high_hz,
+            one.order.fit.data.frequency_hz,
+            _largest(one.order.fit),
+            sum(mode.band == one.band for mode in modes),
         )
-        for band, fit in zip(bands, fits, strict=True)
+        for one in fitted
     )

@@ -83,8 +83,6 @@ def choose_order(
     limits_hz: tuple[float, float],
     peaks: list[tuple[float, float]],
     log_places: float,
-    *,
-    peaks_only: bool = False,
 ) -> Order:
     """Modes of a band.
 
@@ -98,8 +96,6 @@ def choose_order(
     log_places : float
         Logarithm of the number of bands of this width in the spectrum, each of which may hold a mode by chance.
 
-    peaks_only : bool
-        Without a search for modes that have no peak of their own.
 
     Notes
     -----
@@ -114,7 +110,7 @@ def choose_order(
         # Twice the coherences with the modes so far, the shape, frequency and damping ratio.
         price = 0.5 * (2 * fit.model.count + data.size + 2) * np.log(total) + log_places
         guesses = [_from_peak(fit, *peak) for peak in _unexplained(fit.model, peaks)[: TUNING.peaks]]
-        if not peaks_only and (fit.model.count or not guesses):
+        if fit.model.count or not guesses:
             guesses += further_modes(fit, limits_hz, [half for _, half in peaks], price)
         for guess in guesses:
             wanted = fit.log_likelihood + price if best is None else best.log_likelihood
