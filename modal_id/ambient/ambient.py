@@ -121,7 +121,7 @@ def identify_ambient(
     modes = [
         _mode(found, one.band, one.order.fit, index, one.order.log_odds[index])
         for one in fitted
-        for index in np.flatnonzero(one.stands_out & one.fits_in)
+        for index in np.flatnonzero(one.stands_out & one.fits_in).tolist()
     ]
     modes.sort(key=lambda one: one.frequency_hz)
     listed, others = _sorted_out(found, modes)

@@ -23,8 +23,8 @@ class Tuning:
 
     #: [modes] most modes in a band
     most_modes: int = 4
-    #: [1] first guesses of the damping ratio over that of the peak
-    widths: tuple[float, ...] = (0.25, 1.0, 4.0)
+    #: [1] ratio of the first guesses of a damping ratio, of which that of the peak is the middle one
+    widths: float = 4.0
     #: [guesses] number of guesses of a further mode from which the likelihood is maximised
     guesses: int = 3
     #: [peaks] peaks without a mode from which the likelihood is maximised
@@ -168,7 +168,7 @@ def further_modes(
     matrix = spectrum(model, data)
     inverse = np.linalg.inv(matrix)
     excess = np.real(inverse @ (data.cross - data.bins[:, None, None] * matrix) @ inverse)
-    halves = np.unique(np.outer(half_widths_hz, TUNING.widths))
+    halves = np.unique(np.outer(half_widths_hz, [1.0 / TUNING.widths, 1.0, TUNING.widths]))
     places = np.linspace(*limits_hz, TUNING.places)[1:-1]
     hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
     half = np.minimum(half, (limits_hz[1] - limits_hz[0]) / TUNING.least_reach)
