@@ -67,8 +67,6 @@ class Tuning:
     #: [points] frequencies of the spectrum that is kept for the figure
     #: convention: Wider than a screen.
     points: int = 1500
-    #: [cycles] length of a record, in periods of its lowest frequency
-    least_cycles: float = 20.0
 
 
 TUNING = Tuning()
