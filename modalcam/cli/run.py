@@ -39,7 +39,7 @@ Target = Annotated[
 
 ForExcitation = Annotated[
     Literal["free", "ambient"] | None,
-    typer.Option("--excitation", help=f"{CONFIG_HELP}recordings.excitation"),
+    typer.Option("--excitation", help="Free decays or ambient motion."),
 ]
 
 
@@ -149,14 +149,15 @@ def identify(
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
     readable_bytes(file, MAX_BYTES)
-    given = {
+    given: dict[str, Any] = {
         "file": file.name,
         "mode": mode,
         "target_frequency_hz": frequency,
         "onset_s": onset,
         "end_s": end,
-        "excitation": excitation,
     }
+    if excitation is not None:
+        given["excitation"] = excitation
     recording = parse_recording(given, where="command line")
     command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
     options = run_options(out or results_folder(file), jobs=1, **common)
