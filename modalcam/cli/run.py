@@ -39,7 +39,7 @@ Target = Annotated[
 
 ForExcitation = Annotated[
     Literal["free", "ambient"] | None,
-    typer.Option("--excitation", help="Free decays or ambient motion."),
+    typer.Option("--excitation", metavar="KIND", help="free (decays) or ambient."),
 ]
 
 
