@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modal_id.ambient import identify_ambient
 from modal_id.assemble import assemble, assemble_driven
 from modal_id.data import (
     MIN_SAMPLES,
@@ -99,6 +100,8 @@ def identify(
     if isinstance(samples, str):
         return Failure(samples, series.name)
     used, usable_from_s = samples
+    if settings.excitation == "ambient":
+        return identify_ambient(series, used, settings)
     parts = _parts(series, used, settings, usable_from_s)
     whole = settings.onset_s is not None and settings.end_s is not None
     return _identified(series, used, parts, settings, whole=whole)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-SegmentKind = Literal["at rest", "driven", "decay", "disturbed", "repeated", "not used"]
+SegmentKind = Literal["at rest", "driven", "decay", "disturbed", "repeated", "not used", "ambient"]
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,8 @@ class Segment:
     ----------
     kind : str
         "decay" (free decay, fitted), "driven" (steady motion), "at rest", "disturbed" (a click, handling, a stop by
-        hand, or what follows it), "repeated" (frames that repeat the one before), or "not used" (excluded by
-        `onset_s`, `end_s` or clipping).
+        hand, or what follows it), "repeated" (frames that repeat the one before), "not used" (excluded by `onset_s`,
+        `end_s` or clipping), or "ambient" (motion under a random force, of which the modes were identified).
     start_s, end_s : float
         First and last time, in the time of the series.
     note : str

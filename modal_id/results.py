@@ -220,6 +220,44 @@ class FailedMode(Failure):
     target: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class AmbientBand:
+    """Band of the spectrum of an ambient record in which modes were sought.
+
+    Attributes
+    ----------
+    low_hz, high_hz : float
+    frequency_hz : array, shape (g,)
+    fitted : array, shape (g,)
+        Largest singular value of the fitted spectral density matrix, in units of that of the noise.
+    modes : int
+        Number of modes that the evidence asks for; 0 where the band holds none.
+    """
+
+    low_hz: float
+    high_hz: float
+    frequency_hz: FloatArray
+    fitted: FloatArray
+    modes: int
+
+
+@dataclass(frozen=True, eq=False)
+class AmbientRecord:
+    """Spectrum of an ambient record and its bands.
+
+    Attributes
+    ----------
+    frequency_hz : array, shape (b,)
+    singular_values : array, shape (b, r)
+        Largest of the spectral density matrix, in units of the noise's.
+    bands : tuple of AmbientBand
+    """
+
+    frequency_hz: FloatArray
+    singular_values: FloatArray
+    bands: tuple[AmbientBand, ...]
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Identification(Table):
     """Everything identified from one series.
@@ -251,6 +289,9 @@ class Identification(Table):
         Lines of a record that is driven throughout; there are no modes then.
     fitting_rate : FittingRate or None
         Another sampling rate, at which the lines would be modes of the beam; None where the recorded one fits.
+    ambient : AmbientRecord or None
+        Of a record under ambient excitation: there is no decay then, `fitted` and `baseline` are NaN, and the amplitude
+        of a mode is that of a sinusoid of the same power.
     checks : tuple of Check
         Those of `modal_id.modes.residual_checks`, where they were made.
     """
@@ -269,6 +310,7 @@ class Identification(Table):
     driven: tuple[DrivenMotion, ...] = ()
     checks: tuple[Check, ...] = ()
     fitting_rate: FittingRate | None = None
+    ambient: AmbientRecord | None = None
 
     @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:
@@ -300,7 +342,7 @@ class Identification(Table):
         channel = int(np.nanargmax(size))
         time_s = self.series.time_s
         axes.plot(time_s, self.series.values[:, channel], ".", markersize=2, label="measured")
-        if strongest is not None or self.driven:
+        if (strongest is not None or self.driven) and not self.ambient:
             label = "fitted motion" if self.driven else "fitted decay"
             axes.plot(time_s, self.fitted[:, channel], linewidth=0.8, label=label)
         if self.onset.source != "none":
@@ -316,7 +358,8 @@ class Identification(Table):
         found = f"{len(self.modes)} mode{'' if len(self.modes) == 1 else 's'}"
         lost = f", {len(self.failed)} not identified" if self.failed else ""
         head = f"Identification of {self.series.name!r}: {found}{lost}, "
-        head += "driven throughout" if self.driven else f"free decay from {self.onset.time_s:.5g} s"
+        kind = "ambient excitation" if self.ambient else f"free decay from {self.onset.time_s:.5g} s"
+        head += "driven throughout" if self.driven else kind
         return "\n  ".join([head, *(repr(mode) for mode in self.motions)])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -74,6 +74,12 @@ class IdentifyOptions(Options):
         examples=[8.0],
     )
 
+    excitation: Literal["free", "ambient"] = Field(
+        default="free",
+        description='"free": the record holds free decays. "ambient": it holds stationary motion under random forces '
+        "that are not measured, such as wind or traffic; the modes are then identified from its spectrum.",
+        examples=["ambient"],
+    )
     components: Annotated[int, Field(ge=0, le=100)] | None = Field(
         default=None,
         description="Number of components to which many channels are reduced for the fit; chosen from their noise "

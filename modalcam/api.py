@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -135,8 +135,9 @@ def identify(
     unit: str = "mm",
     positions_mm: ArrayLike | None = None,
     seed: int = 0,
+    excitation: Literal["free", "ambient"] = "free",
 ) -> Identification:
-    """Identify natural frequencies and damping ratios from a free decay.
+    """Identify natural frequencies and damping ratios from a free decay, or from ambient vibration.
 
     Parameters
     ----------
@@ -160,6 +161,8 @@ def identify(
         Distance of each channel of `y` from the clamp; with `beam`, mode shapes are compared with theory (MAC).
     seed : int
         Seed of the sampler: the same input and seed give the same result.
+    excitation : {"free", "ambient"}
+        "ambient" for stationary motion under random forces that are not measured, such as wind; times are even then.
 
     Returns
     -------
@@ -215,6 +218,7 @@ def identify(
         onset_s=onset_s,
         end_s=end_s,
         seed=seed,
+        excitation=excitation,
     )
     found = identify_series(series, settings)
     if isinstance(found, Failure):

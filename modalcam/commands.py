@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from modalcam.common import InputError, recording_names, shown
 from modalcam.config import (
@@ -75,6 +75,8 @@ class Options:
         Modules to load in addition to the plugins of installed distributions.
     plots : {"interactive", "static"} or None
         Whether figures of the report can be zoomed; None: up to 12 recordings.
+    excitation : {"free", "ambient"} or None
+        What is given here holds for all recordings, over the configuration.
     """
 
     out: Path
@@ -89,10 +91,14 @@ class Options:
     scheduler: str | None = None
     plugins: tuple[str, ...] = ()
     plots: Plots | None = None
+    excitation: Literal["free", "ambient"] | None = None
 
     def invocation(self, command: str) -> str:
         """The command with the options that results depend on, without paths and the number of processes."""
-        camera = "".join(f" --{option} {value}" for option, value in given_in(self.camera).items())
+        given = given_in(self.camera)
+        if self.excitation is not None:
+            given["excitation"] = self.excitation
+        camera = "".join(f" --{option} {value}" for option, value in given.items())
         chosen = (
             ("plugin", self.plugins),
             ("include", self.selection.include),
@@ -282,6 +288,8 @@ def _find(
     if not present:
         msg = f"{shown(only or '')}: not a recording that can be read; see `modalcam probe`"
         raise InputError(msg)
+    if options.excitation is not None:
+        config = config.with_excitation(options.excitation, [f.file for f in present])
     recordings = [
         RecordingResult(f.name, f.file, "", config.for_recording(f.file).mode, path=f.path) for f in present
     ]
@@ -368,7 +376,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
             recordings=[(r.name, r.file, value) for r, value in zip(wanted, sha256, strict=True)],
             notes=(found.notes, found.unreadable),
             config=config,
-            options=(options.seed, options.camera, options.plugins, options.plots),
+            options=(options.seed, options.camera, options.excitation, options.plugins, options.plots),
             code=code_state(*OUR_PACKAGES),
         )
 

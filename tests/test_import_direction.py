@@ -30,6 +30,7 @@ SHARED = (
     "docs.reference_solutions.",
     "benchmarks.film_scenes.",
     "benchmarks.line_scenes.",
+    "benchmarks.ambient_scenes.",
     "benchmarks.camera_motion.",
     "benchmarks.random_records.",
     "benchmarks.converted_rates.",

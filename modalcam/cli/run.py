@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -37,6 +37,12 @@ Target = Annotated[
 ]
 
 
+ForExcitation = Annotated[
+    Literal["free", "ambient"] | None,
+    typer.Option("--excitation", metavar="KIND", help="free (decays) or ambient."),
+]
+
+
 @takes(*PIPELINE, *SELECTION)
 def run(
     target: Target,
@@ -47,11 +53,12 @@ def run(
     quiet: Quiet = False,
     strict: Strict = False,
     progress: ToldProgress = "text",
+    excitation: ForExcitation = None,
 ) -> None:
     """Track, identify, simulate and report a recording or a folder."""
     from modalcam import commands
 
-    options = run_options(out or results_folder(target), **common)
+    options = run_options(out or results_folder(target), excitation=excitation, **common)
     command = partial(commands.run, target)
     compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict, progress=progress)
 
@@ -120,6 +127,7 @@ def identify(
     end: Annotated[
         float | None, typer.Option("--end-s", min=0.0, metavar="S", help=f"{CONFIG_HELP}recordings.end_s")
     ] = None,
+    excitation: ForExcitation = None,
     unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
     rate: Annotated[
         float | None,
@@ -141,13 +149,15 @@ def identify(
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
     readable_bytes(file, MAX_BYTES)
-    given = {
+    given: dict[str, Any] = {
         "file": file.name,
         "mode": mode,
         "target_frequency_hz": frequency,
         "onset_s": onset,
         "end_s": end,
     }
+    if excitation is not None:
+        given["excitation"] = excitation
     recording = parse_recording(given, where="command line")
     command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
     options = run_options(out or results_folder(file), jobs=1, **common)

@@ -450,3 +450,13 @@ class ExperimentConfig(Options):
         recordings = tuple(r.model_copy(update=given) for r in self.recordings)
         camera = self.camera.model_copy(update=given)
         return self.model_copy(update={"camera": camera, "recordings": recordings})
+
+    def with_excitation(self, excitation: str, files: Sequence[str]) -> ExperimentConfig:
+        """A copy in which these recordings have this excitation, in place of that in the file."""
+        others = tuple(r for r in self.recordings if r.file not in files)
+        given = {file: next((r.given() for r in self.recordings if r.file == file), {}) for file in files}
+        own = tuple(
+            RecordingConfig.model_validate({**given[file], "file": file, "excitation": excitation})
+            for file in files
+        )
+        return self.model_copy(update={"recordings": (*others, *own)})

@@ -92,7 +92,9 @@ def compare_recordings(
 
     def compared(recording: RecordingResult) -> Mapping[str, Any] | None:
         found = recording.identified
-        return {"identification": found, **common} if found is not None and found.modes else None
+        # An ambient record holds no decay; its damping ratios are in `measured`.
+        is_decay = found is not None and bool(found.modes) and found.ambient is None
+        return {"identification": found, **common} if is_decay else None
 
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
     parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]

@@ -85,6 +85,9 @@ def identify_series(
     found = identify(series, settings)
     if isinstance(found, Identification):
         found = correct_amplitudes(found, exposure_s)
+        if found.ambient is not None:
+            # The checks and the delay of the rows are those of a fitted decay.
+            return found
         note = "" if rows is None else readout_note(found, rows.at_rest_px, rows.height_px)
         notes = (*found.notes, note) if note else found.notes
         failed = tuple(_because_cut(one, cut_off) if one.target else one for one in found.failed)

@@ -200,12 +200,15 @@ def stability_of(found: Identification) -> StabilityDiagram | None:
     if not found.modes or rows.size < 2:
         return None
     cells = np.ix_(rows, chosen)
-    weights = (found.used & np.isfinite(found.series.values) & np.isfinite(found.baseline))[cells].astype(
-        float
-    )
+    fitted = found.used & np.isfinite(found.series.values)
+    if found.ambient is None:
+        fitted &= np.isfinite(found.baseline)
+    weights = fitted[cells].astype(float)
     time_s = found.series.time_s[rows] - found.series.time_s[rows[0]]
     data = FitData(time_s, np.where(weights > 0.0, found.series.values[cells], 0.0), weights)
-    baseline = np.where(weights > 0.0, found.baseline[cells], 0.0)
+    mean = np.sum(weights * data.values, axis=0) / np.maximum(np.sum(weights, axis=0), 1.0)
+    slow = np.broadcast_to(mean, weights.shape) if found.ambient else found.baseline[cells]
+    baseline = np.where(weights > 0.0, slow, 0.0)
     return stability_diagram(data, baseline, max(mode.frequency_hz for mode in found.modes))
 
 

@@ -53,6 +53,11 @@ class RecordingSubject:
         mode = None if found is None else shown_mode(found)
         return None if found is None or mode is None else Target(found, mode, shown_channel(found))
 
+    def decaying(self) -> Target | None:
+        """The mode shown, where the record holds its free decay."""
+        target = self.target()
+        return None if target is None or target.found.ambient is not None else target
+
 
 @dataclass(frozen=True)
 class FigureKind(Generic[Shown]):

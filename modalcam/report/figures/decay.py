@@ -62,6 +62,9 @@ def chosen_channels(series: DisplacementSeries, most: int) -> tuple[int, ...]:
 
 def _draw(figure: Figure, shown: _Shown) -> None:
     series, found, rows = shown
+    if found is not None and found.ambient is not None:
+        # Nothing is fitted in time.
+        found = None
     count = len(rows) + (found is not None)
     figure.set_figheight(0.55 + max(0.62 * count, 1.7))
     all_axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
@@ -142,7 +145,7 @@ def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatA
     return motion + np.interp(time_s, sample_s, rest) if good.size else motion
 
 
-CLOSE_UP = FigureKind("close", "recording", RecordingSubject.target, _draw_close_up)
+CLOSE_UP = FigureKind("close", "recording", RecordingSubject.decaying, _draw_close_up)
 
 
 def _draw_envelope(figure: Figure, shown: Target) -> bool:
@@ -203,4 +206,4 @@ def _dependent_amplitude(mode: IdentifiedMode, since_s: FloatArray, channel: int
     return amplitude if np.all(amplitude > 0.0) else None
 
 
-ENVELOPE = FigureKind("envelope", "recording", RecordingSubject.target, _draw_envelope)
+ENVELOPE = FigureKind("envelope", "recording", RecordingSubject.decaying, _draw_envelope)

@@ -92,5 +92,5 @@ def _mark_modes(axes: Axes, found: Identification) -> None:
         axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
 
 
-SPECTRUM = FigureKind("spectrum", "recording", RecordingSubject.target, _draw_spectrum)
+SPECTRUM = FigureKind("spectrum", "recording", RecordingSubject.decaying, _draw_spectrum)
 STABILITY = FigureKind("stability", "recording", RecordingSubject.target, _draw_stability, height_in=2.2)

@@ -64,4 +64,4 @@ def _law(axes: Axes, axis: FloatArray, value: FloatArray, sd: FloatArray) -> Non
     axes.fill_between(axis, value - 1.645 * sd, value + 1.645 * sd, color=ALERT, alpha=0.15, linewidth=0.0)
 
 
-INSTANTANEOUS = FigureKind("instantaneous", "recording", RecordingSubject.target, _draw)
+INSTANTANEOUS = FigureKind("instantaneous", "recording", RecordingSubject.decaying, _draw)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 from modalcam.pipeline import Cache
+from modalcam.report.figures.ambient import AMBIENT
 from modalcam.report.figures.base import FigureKind, Place
 from modalcam.report.figures.damping import DAMPING, VARIANTS
 from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE
@@ -21,6 +22,7 @@ from modalcam.report.style import FigureView
 
 _RECORDING = (
     DECAY,
+    AMBIENT,
     POSTERIOR,
     CLOSE_UP,
     ENVELOPE,

@@ -150,7 +150,7 @@ class _Shown(NamedTuple):
 
 
 def _shows(subject: RecordingSubject) -> _Shown | None:
-    target, tracks = subject.target(), subject.recording.tracks
+    target, tracks = subject.decaying(), subject.recording.tracks
     if target is None or not isinstance(tracks, MarkerTracks) or not kind_of(tracks.kind).follows_line:
         return None
     found, mode, _ = target

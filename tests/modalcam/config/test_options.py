@@ -37,6 +37,7 @@ REQUIRED = {
     "recordings.onset_s": {"file": "a.avi"},
     "recordings.end_s": {"file": "a.avi"},
     "recordings.components": {"file": "a.avi"},
+    "recordings.excitation": {"file": "a.avi"},
 }
 
 

@@ -1,0 +1,121 @@
+"""Ambient records with known modes: what is found, coverage of the intervals, and sd against the uncertainty law.
+
+``python -m benchmarks.ambient --records 200 --jsonl ambient.jsonl`` writes one line per record;
+``--summary ambient.jsonl`` prints the table of docs/validation.md; ``--noise`` makes records without modes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.ambient_scenes import ambient_record, noise_record
+from modal_id import Identification, IdentifySettings, identify
+from modal_id.ambient import log_sds
+from modal_id.modes import mac
+
+
+def record_line(seed: int, *, noise: bool) -> dict[str, Any]:
+    """Outcome of one record: its true modes, each with the mode found nearest, and how many were false."""
+    if noise:
+        series, truth = noise_record(seed), None
+    else:
+        series, truth = ambient_record(seed)
+    start = time.process_time()
+    found = identify(series, IdentifySettings(excitation="ambient", seed=seed))
+    line: dict[str, Any] = {"seed": seed, "cpu_s": round(time.process_time() - start, 3)}
+    modes = list(found.modes) if isinstance(found, Identification) else []
+    line["reason"] = "" if found else str(found)
+    line["modes"] = []
+    matched = set()
+    for index in range(0 if truth is None else truth.frequency_hz.size):
+        true_hz, true_zeta = float(truth.frequency_hz[index]), float(truth.damping_ratio[index])
+        row: dict[str, Any] = {"true_hz": true_hz, "true_zeta": true_zeta, "found": False}
+        near = [
+            (abs(np.log(m.frequency_hz / true_hz)), k)
+            for k, m in enumerate(modes)
+            if k not in matched and abs(np.log(m.frequency_hz / true_hz)) < max(0.01, 2.0 * true_zeta)
+        ]
+        if near:
+            k = min(near)[1]
+            matched.add(k)
+            mode = modes[k]
+            law = log_sds(true_hz, true_zeta, float(series.time_s[-1]), 1e6)
+            row |= {
+                "found": True,
+                "hz": mode.frequency_hz,
+                "zeta": mode.damping_ratio,
+                "z_hz": (mode.frequency_hz - true_hz) / mode.frequency_sd_hz,
+                "z_zeta": float(
+                    np.log(mode.damping_ratio / true_zeta) / np.std(np.log(mode.posterior.damping_ratio))
+                ),
+                "in_hz": mode.frequency_interval_hz()[0] < true_hz < mode.frequency_interval_hz()[1],
+                "in_zeta": mode.damping_interval()[0] < true_zeta < mode.damping_interval()[1],
+                "log_sd": float(np.std(np.log(mode.posterior.damping_ratio))),
+                "law_sd": law[1],
+                "mac": mac(mode.shape, truth.shapes[:, index]),
+                "confirmed": "NOT_CONFIRMED" not in mode.flags,
+            }
+        line["modes"].append(row)
+    line["false"] = [m.frequency_hz for k, m in enumerate(modes) if k not in matched]
+    return line
+
+
+def summary(lines: list[dict[str, Any]]) -> str:
+    """Table of the records of a file."""
+    rows = [row for line in lines for row in line["modes"]]
+    found = [row for row in rows if row["found"]]
+    false = sum(len(line["false"]) for line in lines)
+    out = [
+        f"records {len(lines)}, modes {len(rows)}, found {100 * len(found) / max(len(rows), 1):.1f} %, false {false}",
+        f"CPU {np.mean([line['cpu_s'] for line in lines]):.2f} s, at most {max(line['cpu_s'] for line in lines):.1f} s",
+    ]
+    if found:
+
+        def of(name: str) -> np.ndarray:
+            return np.array([row[name] for row in found], dtype=float)
+
+        out += [
+            *(
+                f"{name}: {100 * of('in_' + name).mean():.1f} % in the 90 % interval, z mean "
+                f"{of('z_' + name).mean():+.2f} rms {np.sqrt((of('z_' + name) ** 2).mean()):.2f}"
+                for name in ("hz", "zeta")
+            ),
+            f"sd of zeta over that of the law: median {np.median(of('log_sd') / of('law_sd')):.2f}",
+            f"error of zeta: median {100 * np.median(np.abs(of('zeta') / of('true_zeta') - 1)):.1f} %",
+            f"MAC: 5 % quantile {np.quantile(of('mac'), 0.05):.4f}",
+            f"confirmed by SSI: {100 * of('confirmed').mean():.0f} %",
+        ]
+    return "\n".join(out)
+
+
+def main() -> None:
+    """Run or summarise."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--records", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--noise", action="store_true")
+    parser.add_argument("--jsonl", type=Path)
+    parser.add_argument("--summary", type=Path)
+    given = parser.parse_args()
+    if given.summary is not None:
+        lines = [json.loads(text) for text in given.summary.read_text("utf-8").splitlines()]
+        sys.stdout.write(summary(lines) + "\n")
+        return
+    lines = []
+    for seed in range(given.first, given.first + given.records):
+        lines.append(record_line(seed, noise=given.noise))
+        if given.jsonl is not None:
+            with given.jsonl.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(lines[-1]) + "\n")
+    sys.stdout.write(summary(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,3 @@
+from .ambient import identify_ambient as identify_ambient
+from .expected import transfer as transfer
+from .law import log_sds as log_sds

@@ -1,0 +1,432 @@
+"""Modes of a record under ambient excitation: bands of its spectrum, the modes in each, and what they leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal_id.ambient.bands import TUNING as BANDS
+from modal_id.ambient.bands import Band, Peak, band_data, bands_of, find_peaks_of, singular_values
+from modal_id.ambient.expected import variance
+from modal_id.ambient.law import law_note
+from modal_id.ambient.model import TUNING as MODEL
+from modal_id.ambient.model import BandFit, spectrum
+from modal_id.ambient.order import Order, choose_order, shares
+from modal_id.ambient.spectrum import Spectrum, spectrum_of
+from modal_id.ambient.stationarity import not_stationary
+from modal_id.data import Prepared
+from modal_id.fit import nyquist_hz, stability_diagram
+from modal_id.flags import ModeFlag
+from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.posterior import with_rate_error
+from modal_id.record import Onset, Segment
+from modal_id.results import (
+    AmbientBand,
+    AmbientRecord,
+    FailedMode,
+    Identification,
+    IdentifiedMode,
+    Posterior,
+)
+from modal_id.settings import IdentifySettings
+from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Draws, and which modes are listed."""
+
+    #: [1] draws of a mode in each ensemble
+    #: statistics: Their 5 % quantile has an error of 0.05 sd.
+    draws: int = 2000
+    #: [1] share of a mode in the power at its frequency in its own direction
+    #: physics: Below one half, the rest of the motion hides its peak: it is what the skirts of a stronger mode leave.
+    least_share: float = 0.5
+    #: [1] half-width over the largest that a band allows, from which a response is part of the background
+    widest: float = 0.9
+    #: [1] factor on the width of a peak whose band holds no mode at first
+    #: physics: The width may be that of a lobe of noise.
+    wider: float = 4.0
+    #: [1] factor on the sd of a frequency
+    #: measurement: Errors over the sd have an rms of 1.15 in 20 simulated records of four modes, alike for all damping
+    #: ratios: skirts of other modes tilt a peak more than the background of a band can follow.
+    frequency_factor: float = 1.15
+    #: [rounds] number of times that bands are chosen by the damping ratios fitted before
+    rounds: int = 2
+    #: [1] change of the limits of a band over its width, below which it is not fitted again
+    same_band: float = 0.1
+    #: [1] sd of ln zeta from which a mode is not determined
+    #: statistics: The 90 % interval then covers a factor of 5 either way.
+    most_log_sd: float = 1.0
+    #: [turns] zeta 2 pi f T below which a peak is a line: a motion of constant amplitude
+    #: physics: The amplitude of a mode then has one or two independent values in the record.
+    least_turns: float = 2.0
+    #: [1] relative distance of another mode below which a mode is close
+    close: float = 0.1
+    #: [points] frequencies of the spectrum that is kept for the figure
+    #: convention: Wider than a screen.
+    points: int = 1500
+
+
+TUNING = Tuning()
+
+_LINE = (
+    "the peak at {hz:.4g} Hz is no wider than the record resolves: a motion of constant amplitude, such as a machine "
+    "or hum, rather than a mode; record longer if it is one"
+)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """One mode of a band: f in Hz, zeta, their covariance as logarithms, shape and its sd (k,), ln odds, the band."""
+
+    frequency_hz: float
+    damping_ratio: float
+    covariance: FloatArray
+    shape: FloatArray
+    shape_sd: FloatArray
+    log_odds: float
+    band: Band
+
+
+def identify_ambient(
+    series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings
+) -> Identification | Failure:
+    """Modes of a record of stationary motion under forces that are not measured.
+
+    Parameters
+    ----------
+    series : DisplacementSeries
+    prepared : Prepared
+        Usable samples, or components of them. Missing samples are filled up to a limit; times are even.
+    settings : IdentifySettings
+
+    Returns
+    -------
+    Identification or Failure
+        The latter for uneven times, long gaps, a record of too few cycles, motion that is not stationary, and where no
+        band holds a mode.
+
+    Notes
+    -----
+    Bayesian identification from the FFT: Au (2017), Operational Modal Analysis, doi:10.1007/978-981-10-4118-1. The
+    force of each mode has a flat spectrum in its band. Draws are of the normal distribution in ln f and ln zeta with
+    the covariance of the Fisher information. The values of an accelerometer, whose spectrum is that of the
+    displacement times f^4, give a frequency that is too high by about 2 zeta^2.
+    """
+    found = spectrum_of(prepared.data)
+    if isinstance(found, Failure):
+        return replace(found, where=series.name)
+    found, fitted, lines_hz = _bands(found)
+    failed = [FailedMode(_LINE.format(hz=hz), frequency_hz=hz) for hz in lines_hz]
+    modes = [
+        _mode(found, one.band, one.order.fit, index, one.order.log_odds[index])
+        for one in fitted
+        for index in np.flatnonzero(one.stands_out & one.fits_in).tolist()
+    ]
+    modes.sort(key=lambda one: one.frequency_hz)
+    listed, others = _sorted_out(found, modes)
+    failed += others
+    if not listed:
+        reason = "; ".join(one.reason for one in failed) or _nothing(found, len(fitted))
+        return Failure(reason, series.name, "record longer, closer, or with more excitation")
+    listed = [_in_channels(one, prepared, len(series.channels)) for one in listed]
+    strongest = max(listed, key=lambda one: float(np.nanmax(np.abs(one.shape))))
+    problem = not_stationary(found, strongest.frequency_hz, strongest.damping_ratio)
+    if problem is not None:
+        return replace(problem, where=series.name)
+    result = _assembled(series, prepared, settings, found, listed, failed)
+    record = AmbientRecord(*_curve(found), _spectral_bands(fitted, listed))
+    return with_rate_error(replace(result, ambient=record))
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A band with its modes: which of them stand out, and whether the band is wide enough for each, shape (m,)."""
+
+    band: Band
+    order: Order
+
+    @property
+    def stands_out(self) -> BoolArray:
+        return shares(self.order.fit) > TUNING.least_share
+
+    @property
+    def fits_in(self) -> BoolArray:
+        widest = TUNING.widest * MODEL.widest * (self.band.high_hz - self.band.low_hz)
+        return np.array([peak.half_width_hz < widest for peak in self.peaks], dtype=bool)
+
+    @property
+    def peaks(self) -> list[Peak]:
+        model = self.order.fit.model
+        hz, half_hz = np.exp(model.log_hz).tolist(), np.exp(model.log_hz + model.log_zeta).tolist()
+        return [Peak(f, half, 0.0) for f, half in zip(hz, half_hz, strict=True)]
+
+    def is_of(self, band: Band) -> bool:
+        """Whether a band is nearly this one."""
+        width = band.high_hz - band.low_hz
+        moved = abs(band.low_hz - self.band.low_hz) + abs(band.high_hz - self.band.high_hz)
+        return moved < TUNING.same_band * width and len(band.peaks) == int(np.sum(self.stands_out))
+
+
+def _bands(found: Spectrum) -> tuple[Spectrum, list[_Fitted], list[float]]:
+    """The fitted bands, the spectrum without lines, and the frequencies of lines.
+
+    The first bands are those of the peaks; damping ratios that were fitted give the next ones.
+    """
+    fitted = [_fitted(found, band) for band in bands_of(found, find_peaks_of(found))]
+    lines_hz = []
+    for _ in range(TUNING.rounds):
+        seen = []
+        for one in fitted:
+            # A response as wide as its band allows is the mode itself in too narrow a band, or the background.
+            kept = one.stands_out & (one.fits_in | (one.order.fit.model.count == 1))
+            for peak in (peak for peak, is_kept in zip(one.peaks, kept, strict=True) if is_kept):
+                if 2.0 * np.pi * peak.half_width_hz * found.span_s < TUNING.least_turns:
+                    lines_hz.append(peak.frequency_hz)
+                else:
+                    seen.append(peak)
+        found = found.without(lines_hz)
+        fitted = [
+            next((one for one in fitted if one.is_of(band)), None) or _fitted(found, band)
+            for band in bands_of(found, seen)
+        ]
+    return found, fitted, lines_hz
+
+
+def _fitted(found: Spectrum, band: Band) -> _Fitted:
+    known = [(peak.frequency_hz, peak.half_width_hz) for peak in band.peaks]
+    data = band_data(found, band, known)
+    log_places = max(float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz))), 0.0)
+    order = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
+    if order.fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
+        wider = band.peaks[0]._replace(half_width_hz=TUNING.wider * band.peaks[0].half_width_hz, strength=0.0)
+        return _fitted(found, bands_of(found, [wider])[0])
+    return _Fitted(band, order)
+
+
+def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float) -> _Found:
+    model, covariance, directions = fit.model, fit.covariance, fit.data.directions
+    m, r = model.count, model.exponents.size
+    own = [index, m + index]
+    first = 2 * m + m * (m - 1)
+    of_shape = first + m * np.arange(r) + index
+    vector = model.shapes[:, index]
+    # Across the shape: its size is the spectral density of the force, and no property of the shape.
+    shape = directions @ vector
+    unit = shape / np.linalg.norm(shape)
+    spread = directions @ covariance[np.ix_(of_shape, of_shape)] @ directions.T
+    spread -= np.outer(unit, unit @ spread)
+    spread -= np.outer(spread @ unit, unit)
+    within = np.maximum(np.diag(spread), 0.0)
+    # Directions that are left out hold noise, as the weakest of the others does.
+    basis = np.linalg.qr(directions)[0]
+    least = float(np.min(np.maximum(np.linalg.eigvalsh(basis.T @ spread @ basis)[min(1, r - 1)], 0.0)))
+    beyond = np.maximum(1.0 - np.sum(basis**2, axis=1), 0.0) * least
+    widening = np.array([TUNING.frequency_factor, 1.0])
+    own_covariance = covariance[np.ix_(own, own)] * np.outer(widening, widening)
+    # The likelihood is normal in the logarithms; a prior that is flat in f and zeta, as for decays, moves its centre.
+    hz, zeta = np.exp(model.vector[own] + own_covariance.sum(axis=1)).tolist()
+    # As the amplitude of a sinusoid of the same power.
+    size = np.sqrt(2.0 * variance(hz, zeta)) * found.noise_sd
+    return _Found(
+        hz,
+        zeta,
+        own_covariance,
+        size * shape,
+        size * np.sqrt(within + beyond),
+        log_odds,
+        band,
+    )
+
+
+def _in_channels(one: _Found, prepared: Prepared, channels: int) -> _Found:
+    """The mode with shape and sd in the channels of the series, NaN in those not used."""
+    shape, sd = one.shape, one.shape_sd
+    if prepared.projection is not None:
+        back = prepared.projection.to_channels
+        shape, sd = back @ shape, np.sqrt((back**2) @ sd**2)
+    full, full_sd = np.full(channels, np.nan), np.full(channels, np.nan)
+    full[prepared.channels], full_sd[prepared.channels] = shape, sd
+    return replace(one, shape=full, shape_sd=full_sd)
+
+
+def _sorted_out(found: Spectrum, modes: list[_Found]) -> tuple[list[_Found], list[FailedMode]]:
+    """Modes that the record determines, and the others with the reason."""
+    good, failed = [], []
+    for one in modes:
+        turns = 2.0 * np.pi * one.damping_ratio * one.frequency_hz * found.span_s
+        sd = float(np.sqrt(one.covariance[1, 1]))
+        hz = one.frequency_hz
+        if turns < TUNING.least_turns:
+            reason = _LINE.format(hz=hz)
+        elif sd > TUNING.most_log_sd:
+            minutes = found.span_s * (sd / 0.3) ** 2 / 60.0
+            reason = (
+                f"the record of {found.span_s / 60.0:.3g} min does not determine the damping ratio at {hz:.4g} Hz; "
+                f"about {minutes:.2g} min would give it to 30 %"
+            )
+        elif not one.band.low_hz * 1.0001 < hz < one.band.high_hz * 0.9999:
+            continue
+        else:
+            good.append(one)
+            continue
+        failed.append(FailedMode(reason, frequency_hz=hz))
+    return good, failed
+
+
+def _nothing(found: Spectrum, bands: int) -> str:
+    if found.frequency_hz.size < BANDS.least_reach:
+        return f"the record of {found.span_s:.3g} s is too short for its spectrum to show a mode"
+    return (
+        f"no band of the spectrum holds a mode with odds above 0.9 ({bands} examined, record of "
+        f"{found.span_s / 60.0:.3g} min)"
+    )
+
+
+def _assembled(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    settings: IdentifySettings,
+    found: Spectrum,
+    listed: list[_Found],
+    failed: list[FailedMode],
+) -> Identification:
+    frequencies = np.array([one.frequency_hz for one in listed])
+    rejected = rejected_modes(frequencies, settings)
+    shapes = np.stack([one.shape for one in listed]).astype(complex)
+    strength = np.nanmax(np.abs(shapes), axis=1)
+    numbering = number_modes(frequencies, shapes, strength, settings)
+    rate_hz = 2.0 * nyquist_hz(prepared.data.time_s)
+    choice = choose_target_of(rejected, frequencies, shapes, strength, numbering.numbers, settings, rate_hz)
+    diagram = stability_diagram(
+        prepared.data, np.zeros(prepared.data.values.shape), float(np.max(frequencies))
+    )
+    modes = []
+    for index, one in enumerate(listed):
+        number = None if rejected[index] else numbering.numbers[index]
+        if rejected[index]:
+            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=one.frequency_hz))
+            continue
+        flags = []
+        if np.sum(np.abs(np.log(frequencies / one.frequency_hz)) < TUNING.close) > 1:
+            flags.append(ModeFlag.CLOSE_MODE)
+        if diagram is not None and not diagram.confirms(one.frequency_hz):
+            flags.append(ModeFlag.NOT_CONFIRMED)
+        notes = [
+            law_note(found.span_s, one.frequency_hz, one.damping_ratio, float(np.sqrt(one.covariance[1, 1])))
+        ]
+        if words := shape_disagreement(shapes[index], one.shape_sd, number, settings):
+            flags.append(ModeFlag.SHAPE_DISAGREES)
+            notes.append(words)
+        modes.append(
+            IdentifiedMode(
+                shape=shapes[index],
+                shape_sd=one.shape_sd,
+                amplitude=float(strength[index]),
+                amplitude_unit=series.unit,
+                posterior=_posterior(one, index, settings),
+                number=number,
+                target=index == choice.index,
+                mac=numbering.macs[index],
+                flags=tuple(flag.name for flag in flags),
+                notes=(*(flag.value for flag in flags), *notes),
+                severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
+            )
+        )
+    if choice.index is None:
+        failed.append(
+            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+        )
+    return _of_record(series, prepared, found, tuple(modes), tuple(failed))
+
+
+def _posterior(one: _Found, index: int, settings: IdentifySettings) -> Posterior:
+    """Independent draws, normal in ln f and ln zeta."""
+    ensembles = settings.sampler.ensembles
+    sequence = np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index))
+    normal = np.random.default_rng(sequence).standard_normal((ensembles, TUNING.draws, 2))
+    logs = normal @ np.linalg.cholesky(one.covariance).T
+    sd = np.sqrt(np.diag(one.covariance))
+    count = float(ensembles * TUNING.draws)
+    return Posterior(
+        one.frequency_hz * np.exp(logs[..., 0]),
+        one.damping_ratio * np.exp(logs[..., 1]),
+        (1.0, 1.0),
+        (count, count),
+        1.0,
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+        (float(sd[0] * one.frequency_hz), float(sd[1] * one.damping_ratio)),
+        (settings.seed, *settings.seed_key, index),
+    )
+
+
+def _of_record(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    found: Spectrum,
+    modes: tuple[IdentifiedMode, ...],
+    failed: tuple[FailedMode, ...],
+) -> Identification:
+    n, k = series.values.shape
+    start_s = float(series.time_s[prepared.first_row])
+    end_s = start_s + float(prepared.data.time_s[-1])
+    inside = (series.time_s >= start_s) & (series.time_s <= end_s)
+    used, channels_used = np.zeros((n, k), dtype=bool), np.zeros(k, dtype=bool)
+    channels_used[prepared.channels] = True
+    used[inside] = np.isfinite(series.values[inside]) & channels_used
+    residual_sd = np.full(k, np.nan)
+    if prepared.projection is None:
+        # White noise of this level up to half the sampling rate.
+        residual_sd[prepared.channels] = found.noise_sd / np.sqrt(2.0 * found.step_s)
+    notes = []
+    if filled := int(np.count_nonzero(found.filled)):
+        notes.append(
+            f"{filled} missing samples were filled by linear prediction from both sides: the spectrum changes by "
+            f"{200.0 * filled / found.filled.size:.2g} % at most, frequencies and damping ratios less."
+        )
+    onset = Onset(start_s, float("nan"), start_s, "none", 1.0, "")
+    return Identification(
+        series=series,
+        onset=onset,
+        modes=modes,
+        failed=failed,
+        fitted=np.full((n, k), np.nan),
+        baseline=np.full((n, k), np.nan),
+        used=used,
+        residual_sd=residual_sd,
+        channels_used=channels_used,
+        notes=(*series.notes, *prepared.notes, *notes),
+        segments=(Segment("ambient", start_s, end_s),),
+    )
+
+
+def _curve(found: Spectrum) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (b,) and singular values (b, k) of the spectrum, in the units of the noise."""
+    bins = max(4, 2 * int(np.ceil(found.frequency_hz.size / TUNING.points)))
+    curve = singular_values(found, bins)
+    return curve.frequency_hz, curve.values[:, :3]
+
+
+def _largest(fit: BandFit) -> FloatArray:
+    """Largest singular value of the fitted spectral density matrix, in the units of the noise, shape (g,)."""
+    basis = np.linalg.qr(fit.data.directions)[1]
+    matrix = basis @ spectrum(fit.model, fit.data) @ basis.T
+    return np.asarray(np.linalg.eigvalsh(matrix)[:, -1], dtype=np.float64)
+
+
+def _spectral_bands(fitted: list[_Fitted], modes: list[_Found]) -> tuple[AmbientBand, ...]:
+    return tuple(
+        AmbientBand(
+            one.band.low_hz,
+            one.band.high_hz,
+            one.order.fit.data.frequency_hz,
+            _largest(one.order.fit),
+            sum(mode.band == one.band for mode in modes),
+        )
+        for one in fitted
+    )

@@ -1,0 +1,191 @@
+"""Number of modes in a band: modes are added while the evidence for one more is good."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal_id.ambient.model import (
+    BandData,
+    BandFit,
+    BandModel,
+    fit_band,
+    responses,
+    spectrum,
+)
+from tracker import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Evidence of a mode."""
+
+    #: [modes] most modes in a band
+    most_modes: int = 4
+    #: [1] ratio of the first guesses of a damping ratio, of which that of the peak is the middle one
+    widths: float = 4.0
+    #: [guesses] number of guesses of a further mode from which the likelihood is maximised
+    guesses: int = 3
+    #: [peaks] peaks without a mode from which the likelihood is maximised
+    peaks: int = 2
+    #: [1] gain predicted by the score test, over what the evidence asks for, below which a mode is not fitted
+    #: measurement: The gain after the fit is up to five times that from amplitude 0.
+    promising: float = 0.25
+    #: [half-widths] width of a band, at least
+    #: physics: A wider response is not told from the background.
+    least_reach: float = 8.0
+    #: [points] frequencies at which a further mode is tried
+    places: int = 81
+    #: [1] logarithm of the odds from which a mode is listed
+    #: statistics: Odds of 0.9 against 0.1.
+    least_log_odds: float = float(np.log(9.0))
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
+class Order:
+    """Fit of the chosen number of modes, and the logarithm of the odds of the last mode that was added."""
+
+    fit: BandFit
+    log_odds: tuple[float, ...]
+
+
+def shares(fit: BandFit) -> FloatArray:
+    """Largest share of each mode in the power at a frequency in its own direction, shape (m,)."""
+    model, data = fit.model, fit.data
+    power = np.abs(responses(model, data)) ** 2
+    inverse = np.real(np.linalg.inv(spectrum(model, data)))
+    own = np.einsum("rm,grs,sm->gm", model.shapes, inverse, model.shapes, optimize=True)
+    return np.asarray(np.max(power * own, axis=0, initial=0.0), dtype=np.float64)
+
+
+def without_modes(data: BandData) -> BandModel:
+    """Background only, a first guess."""
+    mean = data.cross / data.bins[:, None, None]
+    power = np.real(np.trace(mean, axis1=1, axis2=2))
+    # The weaker half: what lies off the peaks.
+    low = power <= np.median(power)
+    floor = np.real(np.sum(data.cross[low], axis=0)) / np.sum(data.bins[low])
+    floor += 1e-6 * np.trace(floor) / data.size * np.eye(data.size)
+    none, r = np.empty(0), data.size
+    none_of = np.zeros((r, 0))
+    floor = np.linalg.cholesky(floor)
+    return BandModel(
+        none, none, np.zeros((0, 0), complex), none_of, none_of.astype(complex), floor, np.zeros(r)
+    )
+
+
+def choose_order(
+    data: BandData,
+    limits_hz: tuple[float, float],
+    peaks: list[tuple[float, float]],
+    log_places: float,
+) -> Order:
+    """Modes of a band.
+
+    Parameters
+    ----------
+    data : BandData
+    limits_hz : (float, float)
+        Within which the frequencies lie.
+    peaks : list of (float, float)
+        Frequencies and half-widths in Hz of the peaks seen in the band, first guesses.
+    log_places : float
+        Logarithm of the number of bands of this width in the spectrum, each of which may hold a mode by chance.
+
+
+    Notes
+    -----
+    The logarithm of the odds of one more mode is the gain of the log likelihood less the Schwarz criterion, half the
+    number of its parameters times the logarithm of the number of frequencies, less `log_places`.
+    """
+    fit = fit_band(without_modes(data), data, limits_hz)
+    odds: list[float] = []
+    total = float(np.sum(data.bins))
+    while fit.model.count < TUNING.most_modes:
+        best = None
+        # Twice the coherences with the modes so far, the shape, frequency and damping ratio.
+        price = 0.5 * (2 * fit.model.count + data.size + 2) * np.log(total) + log_places
+        guesses = [_from_peak(fit, *peak) for peak in _unexplained(fit.model, peaks)[: TUNING.peaks]]
+        if fit.model.count or not guesses:
+            guesses += further_modes(fit, limits_hz, [half for _, half in peaks], price)
+        for guess in guesses:
+            wanted = fit.log_likelihood + price if best is None else best.log_likelihood
+            trial = fit_band(guess, fit.data, limits_hz, wanted)
+            if best is None or trial.log_likelihood > best.log_likelihood:
+                best = trial
+        if best is None:
+            break
+        log_odds = best.log_likelihood - fit.log_likelihood - price
+        if log_odds < TUNING.least_log_odds:
+            break
+        fit = best
+        odds.append(float(log_odds))
+    return Order(fit, tuple(odds))
+
+
+def _unexplained(model: BandModel, peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Peaks without a mode nearby."""
+    known = np.exp(model.log_hz)
+    return [(hz, half) for hz, half in peaks if not np.any(np.abs(known - hz) < 2.0 * half)]
+
+
+def _from_peak(fit: BandFit, hz: float, half_hz: float) -> BandModel:
+    """The model with a mode whose shape is the main direction of the motion near a peak."""
+    model, zeta = fit.model, half_hz / hz
+    return model.with_mode(hz, zeta, _shape_at(fit.data, spectrum(model, fit.data), hz, zeta))
+
+
+def _shape_at(data: BandData, matrix: ComplexArray, hz: float, zeta: float) -> FloatArray:
+    """Main direction of what `matrix` leaves of the spectrum near a frequency, scaled to its power."""
+    ratio = data.frequency_hz / hz
+    weight = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta * ratio) ** 2)
+    left = np.real(data.cross - data.bins[:, None, None] * matrix)
+    values, vectors = np.linalg.eigh(np.tensordot(weight, left, 1) / float(data.bins @ weight**2))
+    # Where nothing is left, a tenth of what is there: a mode of no amplitude has no slope.
+    least = 1e-3 * float(np.min(np.real(np.trace(matrix, axis1=1, axis2=2)) / weight))
+    return np.asarray(np.sqrt(max(float(values[-1]), least)) * vectors[:, -1])
+
+
+def further_modes(
+    fit: BandFit,
+    limits_hz: tuple[float, float],
+    half_widths_hz: list[float],
+    price: float,
+) -> list[BandModel]:
+    """The model with one more mode, by the best of the score test over frequencies and damping ratios.
+
+    None where the gain that the test predicts is far below `price`, that of a mode.
+
+    At amplitude 0 the slope of the log likelihood along ``D_k v v^T`` is
+    ``v^T [sum D_k Re(E^-1 (C_k - b_k E) E^-1)] v``, and its variance the Fisher information
+    ``sum b_k D_k^2 (v^T E^-1 v)^2``.
+    """
+    model, data = fit.model, fit.data
+    matrix = spectrum(model, data)
+    inverse = np.linalg.inv(matrix)
+    excess = np.real(inverse @ (data.cross - data.bins[:, None, None] * matrix) @ inverse)
+    halves = np.unique(np.outer(half_widths_hz, [1.0 / TUNING.widths, 1.0, TUNING.widths]))
+    places = np.linspace(*limits_hz, TUNING.places)[1:-1]
+    hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
+    half = np.minimum(half, (limits_hz[1] - limits_hz[0]) / TUNING.least_reach)
+    zeta = half / hz
+    ratio = data.frequency_hz / hz[:, None]
+    response = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta[:, None] * ratio) ** 2)
+    values, vectors = np.linalg.eigh(np.tensordot(response, excess, 1))
+    slope, shape = values[:, -1], vectors[:, :, -1]
+    own = np.einsum("ti,gij,tj->tg", shape, np.real(inverse), shape, optimize=True)
+    information = np.maximum(((response * own) ** 2) @ data.bins, 1e-300)
+    score = slope / np.sqrt(information)
+    found: list[BandModel] = []
+    for index in np.argsort(-score).tolist():
+        apart = [abs(hz[index] - np.exp(one.log_hz[-1])) > half[index] for one in found]
+        if score[index] > 0.0 and 0.5 * score[index] ** 2 > TUNING.promising * price and all(apart):
+            guess = float(hz[index]), float(zeta[index])
+            found.append(model.with_mode(*guess, _shape_at(data, matrix, *guess)))
+        if len(found) == TUNING.guesses:
+            break
+    return found

@@ -1,0 +1,59 @@
+"""An ambient record through the command line: tables, report, and what does not apply to it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import modalcam as mc
+from benchmarks.ambient_scenes import response, series_of
+from modalcam.cli import app
+
+RATE_HZ, HZ, ZETA = 40.0, 4.0, 0.02
+
+
+def record():
+    """Five minutes of one mode in two channels."""
+    rng = np.random.default_rng(11)
+    n = int(300.0 * RATE_HZ)
+    motion = response(np.array([HZ]), np.array([ZETA]), np.eye(1), n, 1.0 / RATE_HZ, rng)
+    return series_of(motion * [1.0, -0.6] + 0.01 * rng.standard_normal((n, 2)), RATE_HZ)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """Results of `modalcam identify --excitation ambient`."""
+    folder = tmp_path_factory.mktemp("ambient")
+    table = record().to_dataframe()
+    table[["time_s", "m1_mm", "m2_mm"]].to_csv(folder / "take.csv", index=False)
+    command = ["identify", str(folder / "take.csv"), "-o", str(folder / "out"), "--excitation", "ambient"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+def test_the_table_has_the_mode(out):
+    """Within 4 sd."""
+    row = pd.read_csv(out / "modes.csv").iloc[0]
+    assert abs(row.frequency_hz - HZ) < 4.0 * row.frequency_sd_hz
+    assert abs(row.damping_ratio - ZETA) < 4.0 * row.damping_ratio_sd
+
+
+def test_the_report_has_its_section_and_no_decay(out):
+    """Spectrum with bands, the law in words, and no onset."""
+    page = (out / "report.html").read_text("utf-8")
+    assert "Spectrum of the ambient vibration" in page
+    assert "min would give" in page
+    assert "Length of record" in page
+    for of_decay in ("Probability of this onset", "Length of decay", "Spectrum before and after the fit"):
+        assert of_decay not in page, f"{of_decay} is of a decay"
+
+
+def test_the_interface_gives_the_same(out):
+    """The values of the table, whose seed differs: the posterior medians agree to a tenth of a sd."""
+    series = record()
+    found = mc.identify(series.time_s, series.values, excitation="ambient")
+    row = pd.read_csv(out / "modes.csv").iloc[0]
+    assert found.modes[0].frequency_hz == pytest.approx(row.frequency_hz, abs=0.1 * row.frequency_sd_hz)
+    assert found.ambient.bands
+    found.plot()
