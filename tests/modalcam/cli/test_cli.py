@@ -234,7 +234,7 @@ def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
     assert (tmp_path / "work" / "ruler-results" / "report.html").is_file()
     assert "ruler: at rest from 0 s to 0.5" in said
     assert "decay from 0.5" in said
-    assert "disturbed from 2 s to 2.0" in said
+    assert "disturbed from 2.001 s to 2.03" in said
     assert "ruler: at small amplitude 38." in said
     assert "damping ratio 0.8" in said
     assert "AMPLITUDE_DEPENDENT" in said
