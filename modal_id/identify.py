@@ -214,12 +214,10 @@ def _of_decays(
         return _driven(series, settings, used, main, segments)
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-    # Another part is driven, or the motion ends abruptly: a drive that has changed, or stopped.
-    other = any(
-        s.kind == "driven" or (s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s)
-        for s in segments
-    )
-    if is_driven(driven) or (other and is_rather_driven(driven)):
+    # Another part is driven: the drive has changed. Or the motion ends abruptly: a drive has stopped, or a hand grips.
+    other = any(s.kind == "driven" for s in segments)
+    stopped = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
+    if is_driven(driven, stopped=stopped) or (other and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
     if may_be_driven(driven):
         found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))

@@ -37,6 +37,9 @@ class Tuning:
     between: float = 0.3
     #: [1] probability of any damping ratio after a free motion, neither its own nor a hand's
     other: float = 0.2
+    #: [1] probability from which a motion that ends abruptly is called driven
+    #: convention: A hand ends a free motion as abruptly.
+    stopped: float = 0.8
     #: [1] probability from which a motion without further evidence is called driven
     #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
     sure: float = 0.95
@@ -113,9 +116,9 @@ def is_rather_driven(probability: float) -> bool:
     return probability > 0.5
 
 
-def is_driven(probability: float) -> bool:
-    """Whether a motion with this probability is driven beyond doubt."""
-    return probability > TUNING.sure
+def is_driven(probability: float, *, stopped: bool = False) -> bool:
+    """Whether a motion with this probability is driven beyond doubt, or probably, where it is stopped abruptly."""
+    return probability > (TUNING.stopped if stopped else TUNING.sure)
 
 
 def may_be_driven(probability: float) -> bool:
