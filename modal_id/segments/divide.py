@@ -247,7 +247,10 @@ class _Division:
         joined = joined and (driven or not long or following is None or not _rises(following))
         ends: list[tuple[float, Event | None]] = [(piece.end_s, None)]
         if joined and following is not None:
-            ends.insert(0, (following.end_s, following.before))
+            change = following.before
+            # Where the motion goes on, the change may have been found too late: then it is searched for.
+            joined_ends = [change, None] if change is not None and change.jump < JOINS else [change]
+            ends = [*((following.end_s, one) for one in joined_ends), *ends]
         for end_s, change in ends:
             onset = self._stop(begin_s, end_s, prior, change)
             if onset is not None:
