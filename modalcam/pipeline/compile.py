@@ -88,6 +88,7 @@ DECAYS = Group(
         "modal_id.fit.amplitude_dependence:_decay",
         "modal_id.posterior.kernels:chi_square_of",
         "modal_id.curve.quadrature:_slopes",
+        "modal_id.segments.stretch_costs:stretch_costs",
     ),
 )
 FILMS = Group(
