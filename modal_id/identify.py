@@ -36,7 +36,7 @@ from modal_id.record import Segment
 from modal_id.results import FittedMode, Identification, IdentifiedMode
 from modal_id.segments import (
     PRIOR,
-    PRIOR_AFTER_RISE,
+    PRIOR_AFTER_JUMP,
     Decay,
     RecordParts,
     divide,
@@ -58,9 +58,9 @@ _SHORT = (
     "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "
     "and end_s to one free decay"
 )
-_STEADY = "The motion does not decay: it is driven."
+_STEADY = "The motion does not decay: it is driven, or decays too slowly for this record."
 _HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
-_FAINT = "What decays here is faint beside the motion of the rest."
+_FAINT = "The decay here is much weaker than another one of the record."
 
 
 def identify(
@@ -88,14 +88,16 @@ def identify(
     Notes
     -----
     Eq. 1 and Eq. 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation", with poles shared by
-    all channels. A constant damping ratio is biased where damping depends on the amplitude: this is always tested, and
-    where it is significant the mode is flagged and its interval widened. The error of the frame rate
+    all channels. A constant damping ratio is biased where damping depends on the amplitude: `assemble` always tests
+    this, and where it is significant the mode is flagged and its interval widened. The error of the frame rate
     (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
-    held = sampled_rows(series)
-    if held is not None:
-        return in_all_rows(identify(of_rows(series, held[0]), settings), series, *held)
+    sampled = sampled_rows(series)
+    if sampled is not None:
+        # the others repeat them
+        rows, distance = sampled
+        return in_all_rows(identify(of_rows(series, rows), settings), series, rows, distance)
     samples = _samples(series, settings)
     if isinstance(samples, str):
         return Failure(samples, series.name)
@@ -174,7 +176,7 @@ def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Pr
         msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, found {shapes.shape}"
         raise ValueError(msg)
     prepared = prepare(series)
-    used = prepared if isinstance(prepared, str) else _within(series, prepared, settings)
+    used = prepared if isinstance(prepared, str) else _of_interval(series, prepared, settings)
     if isinstance(prepared, str) or isinstance(used, str):
         return str(used)
     return project(used, settings.components), float(series.time_s[prepared.first_row])
@@ -204,19 +206,20 @@ def _of_decays(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
-    for kept, note in ((without_faint, _FAINT), (without_held, _HELD)):
-        others = decays
-        decays = kept(others)
-        segments = _as_disturbed(segments, [o for o in others if all(o is not one for one in decays)], note)
+    for chosen, note in ((without_faint, _FAINT), (without_held, _HELD)):
+        kept = chosen(decays)
+        segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], note)
+        decays = kept
     position = most_informative(decays)
     main = decays[position]
     if all(does_not_decay(one) for one in decays):
         return _driven(series, settings, used, main, segments)
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-    # Another part is driven: the drive has changed. Or the motion ends abruptly: a drive has stopped, or a hand grips.
+    # Where another part is driven, the drive may have changed; one that ends abruptly may have stopped.
     other = any(s.kind == "driven" for s in segments)
-    stopped = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
+    later = [s for s in segments if s.start_s >= main.end_s]
+    stopped = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
     if is_driven(driven, stopped=stopped) or (other and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
     if may_be_driven(driven):
@@ -228,7 +231,7 @@ def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
     """Probability that the target mode of a decay is a drive: 0 where the user says that the motion is free."""
     if one.onset.source == "user":
         return 0.0
-    prior = PRIOR_AFTER_RISE if one.onset.source == "peak" else PRIOR
+    prior = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
     radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
     return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 
@@ -264,7 +267,7 @@ def _driven(
     one: FittedDecay,
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """Result of a record whose strongest motion does not decay."""
+    """Result of a record whose strongest motion does not decay: none of its parts is a free decay."""
     onset = replace(no_onset(_STEADY), fit_from_s=one.onset.fit_from_s)
     found = assemble_driven(series, settings, used, replace(one, onset=onset))
     steady = tuple(
@@ -286,7 +289,9 @@ def _target_hz(settings: IdentifySettings) -> float | None:
     return settings.target_frequency_hz
 
 
-def _within(series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings) -> Prepared | str:
+def _of_interval(
+    series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings
+) -> Prepared | str:
     """Samples from `onset_s` to `end_s`, as far as these are given; the reason for a refusal where they are too few."""
     time_s = series.time_s[prepared.first_row : prepared.first_row + prepared.repeated.size]
     first = 0 if settings.onset_s is None else int(np.searchsorted(time_s, settings.onset_s - 1e-12))

@@ -7,10 +7,11 @@ from .divide import RecordParts as RecordParts
 from .divide import divide as divide
 from .drive_odds import BETWEEN_SD as BETWEEN_SD
 from .drive_odds import PRIOR as PRIOR
-from .drive_odds import PRIOR_AFTER_RISE as PRIOR_AFTER_RISE
+from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
 from .drive_odds import drive_probability as drive_probability
 from .drive_odds import held_density as held_density
 from .drive_odds import is_driven as is_driven
+from .drive_odds import is_probably_driven as is_probably_driven
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
 from .events import find_events as find_events

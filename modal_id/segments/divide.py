@@ -10,7 +10,7 @@ import numpy as np
 from modal_id.data import FitData, detrended, rough_variance
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.dominant import Tones, find_tones
-from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
+from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_JUMP, is_probably_driven, is_rather_driven
 from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
@@ -231,7 +231,10 @@ class _Division:
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         moves = following is not None and not self._at_rest(following)
         follows = following if moves and following is not None and not _rises(following) else None
-        driven = long and self._keeps_amplitude(piece) and self._is_steady(tail, prior, follows)
+        probability = (
+            self._probability(tail, prior, follows) if long and self._keeps_amplitude(piece) else 0.0
+        )
+        driven = is_rather_driven(probability)
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
         first = event if event is not None and event.start_s <= self.thin.time_s[0] else None
         begin_s = piece.start_s if first is None else first.start_s
@@ -244,11 +247,12 @@ class _Division:
                 self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
                 return False, end_s > piece.end_s
-        if driven:
+        if is_probably_driven(probability):
             self._add("driven", piece.start_s, piece.end_s, f"Steady motion at {self.frequency_hz:.4g} Hz.")
-            return True, False
-        self._decay(self._start(piece), piece.end_s)
-        return False, False
+        else:
+            # What is not known to be driven may tell its damping ratio, with a wide interval.
+            self._decay(self._start(piece), piece.end_s)
+        return driven, False
 
     def _start(self, piece: _Piece) -> Onset:
         if piece.before is None:
@@ -290,11 +294,11 @@ class _Division:
             return None
         return found
 
-    def _is_steady(self, late: FitData, prior: float, follows: _Piece | None) -> bool:
-        """Whether a drive explains samples better than a free motion, from what follows them as well."""
+    def _probability(self, late: FitData, prior: float, follows: _Piece | None) -> float:
+        """Probability that samples are driven, from what follows them as well."""
         after = None if follows is None else self.thin.between(follows.start_s, follows.end_s)
         after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
-        return is_rather_driven(probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after))
+        return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
     def _is_driven(self, piece: _Piece, follows: _Piece, prior: float) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
@@ -302,7 +306,7 @@ class _Division:
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         if few or late.time_s.size < TUNING.least_rows:
             return True
-        if not self._is_steady(late, prior, follows):
+        if not is_rather_driven(self._probability(late, prior, follows)):
             return False
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 
@@ -379,7 +383,7 @@ def _rises(piece: _Piece) -> bool:
 
 def _prior(piece: _Piece) -> float:
     """Probability of a drive: a motion that does not join the one before is more often plucked than driven."""
-    return PRIOR_AFTER_RISE if piece.before is not None and piece.before.jump >= JOINS else PRIOR
+    return PRIOR_AFTER_JUMP if piece.before is not None and piece.before.jump >= JOINS else PRIOR
 
 
 def _shifted(onset: Onset, by_s: float) -> Onset:

@@ -14,8 +14,8 @@ class Tuning:
 
     #: [1] probability of a drive of a steady motion, where nothing else is known
     prior: float = 0.5
-    #: [1] the same after the amplitude rose abruptly: a pluck, or a drive that starts
-    after_rise: float = 0.1
+    #: [1] the same after the motion jumped: a pluck, or a drive that starts
+    after_jump: float = 0.1
     #: [1] half width at half maximum of the change of the logarithm of a drive's amplitude
     drive_change: float = 0.005
     #: [1] sd of the change of the log amplitude above which it tells nothing of a drive
@@ -37,6 +37,9 @@ class Tuning:
     between: float = 0.3
     #: [1] probability of any damping ratio after a free motion, neither its own nor a hand's
     other: float = 0.2
+    #: [1] probability from which a part without a decay is called driven
+    #: convention: Odds of two to one, because a refusal costs more than a wide interval.
+    probable: float = 2.0 / 3.0
     #: [1] probability from which a motion that ends abruptly is called driven
     #: convention: A hand ends a free motion as abruptly.
     stopped: float = 0.8
@@ -48,7 +51,7 @@ class Tuning:
 TUNING = Tuning()
 
 # Probabilities of a drive before the change of its amplitude is seen.
-PRIOR, PRIOR_AFTER_RISE = TUNING.prior, TUNING.after_rise
+PRIOR, PRIOR_AFTER_JUMP = TUNING.prior, TUNING.after_jump
 BETWEEN_SD = TUNING.between
 
 
@@ -114,6 +117,11 @@ def held_density(free: float, zeta: float) -> float:
 def is_rather_driven(probability: float) -> bool:
     """Whether a drive is the better explanation of a motion."""
     return probability > 0.5
+
+
+def is_probably_driven(probability: float) -> bool:
+    """Whether a part of a record is called driven, where no decay follows that would tell."""
+    return probability > TUNING.probable
 
 
 def is_driven(probability: float, *, stopped: bool = False) -> bool:
