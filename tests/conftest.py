@@ -19,9 +19,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 # suite starts dozens of processes, and each would compile all packages again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
-
-# What collection imports and collects stays: the collector of cycles would go through it again and again, for a fifth of
-# the time of collection, and in the tests after that.
+# Until all tests are collected: what is imported stays, and looking for cycles in it takes a fifth of the time.
 gc.disable()
 
 # Tests have no time limit per example, so that they do not fail on a busy machine.
