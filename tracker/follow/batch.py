@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker import flags
@@ -104,7 +105,7 @@ def frame_arrays(markers: int) -> FrameArrays:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def register_all(
     image: GrayImage,
     aims: FloatArray,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
@@ -95,7 +96,7 @@ TERMS = (DEGREE + 1) * (DEGREE + 2) // 2 - 1
 MOST = kernel.STATE + TERMS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _table(
     image: GrayImage, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
 ) -> NDArray[np.float32]:
@@ -109,7 +110,7 @@ def _table(
     return table
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _fill_gradient(
     table: NDArray[np.float32],
     n: int,
@@ -138,7 +139,7 @@ def _fill_gradient(
         first += degree
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _add_up(
     table: NDArray[np.float32],
     state: FloatArray,
@@ -181,7 +182,7 @@ def _add_up(
     return chi2, used
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _find_weak(
     normal: FloatArray, scores: FloatArray, order: int, chi2: float, weak: FloatArray, variances: FloatArray
 ) -> bool:
@@ -203,7 +204,7 @@ def _find_weak(
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _variance(scores: FloatArray, inverse: FloatArray, size: int, chi2: float, weak: FloatArray) -> float:
     """Variance along `weak` for residuals that are alike within a block, at least that for independent ones.
 
@@ -226,7 +227,7 @@ def _variance(scores: FloatArray, inverse: FloatArray, size: int, chi2: float, w
     return float(max(total * used / max(used - size, 1), chi2 * independent))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, share: float) -> None:
     """Take a share of the step in the position, of 1 px at most, and the whole step in the other unknowns."""
     size = order + TERMS
@@ -241,7 +242,7 @@ def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, sha
         light[k] += rhs[size + order + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _fit(
     image: GrayImage,
     state: FloatArray,
