@@ -29,6 +29,7 @@ class Tuning:
 TUNING = Tuning()
 # Frozen into compiled code.
 NEIGHBOURS = TUNING.neighbours
+FEW_STATIONS = f"light along a line: expected at least {TUNING.terms} stations with a fit; leave out the frame"
 
 
 class Light(NamedTuple):
@@ -91,7 +92,13 @@ def learned_light(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def known_light_shift(light: Light, results: FloatArray, used: BoolArray, out: FloatArray) -> None:
-    """Change of each displacement, (m,), if gain and offset were as smooth along the line as light is."""
+    """Change of each displacement, (m,), if gain and offset were as smooth along the line as light is.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where fewer than `TUNING.terms` stations are used; a follower uses none with so few.
+    """
     m, terms = light.basis.shape
     normal, rhs, smooth = np.zeros((terms, terms)), np.zeros((2, terms)), np.zeros((2, terms))
     for k in range(m):
@@ -103,7 +110,8 @@ def known_light_shift(light: Light, results: FloatArray, used: BoolArray, out: F
             for j in range(terms):
                 normal[i, j] += light.basis[k, i] * light.basis[k, j]
     for c in range(2):
-        solve_in_place(normal.copy(), rhs[c], smooth[c])
+        if not solve_in_place(normal.copy(), rhs[c], smooth[c]):
+            raise np.linalg.LinAlgError(FEW_STATIONS)
     for k in range(m):
         out[k] = 0.0
         if not used[k]:
