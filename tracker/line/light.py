@@ -29,7 +29,9 @@ class Tuning:
 TUNING = Tuning()
 # Frozen into compiled code.
 NEIGHBOURS = TUNING.neighbours
-FEW_STATIONS = f"light along a line: expected at least {TUNING.terms} stations with a fit; leave out the frame"
+FEW_STATIONS = (
+    f"light along a line: expected at least {TUNING.terms} stations with a fit; leave out the frame"
+)
 
 
 class Light(NamedTuple):

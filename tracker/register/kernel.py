@@ -11,13 +11,14 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.register.sampling import (
     BAND_PIXELS,
     CLIPPED,
     EXPECTED,
     SUMS,
     USED,
+    Picture,
     PixelBuffers,
     add_up,
     fill_pixels,
@@ -258,7 +259,7 @@ def _normal_equations(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(
-    image: GrayImage,
+    image: Picture,
     state: FloatArray,
     warp: FloatArray,
     template: Grid,
@@ -340,7 +341,7 @@ def _conclude(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def register(
-    image: GrayImage,
+    image: Picture,
     start: FloatArray,
     warp: FloatArray,
     template: Grid,
@@ -354,7 +355,8 @@ def register(
 
     Parameters
     ----------
-    image : uint8 or uint16 array, shape (height, width)
+    image : tuple of arrays, shape (height, width)
+        From `tracker.register.sampling.picture`.
     start : array, shape (5,)
         x_px, y_px, angle_rad, gain, offset. With a NaN among them the fit fails.
     warp : array, shape (2, 2)

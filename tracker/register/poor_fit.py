@@ -9,7 +9,7 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.register import kernel
 from tracker.register.sampling import (
     FROM_U,
@@ -20,6 +20,7 @@ from tracker.register.sampling import (
     SLOPE_V,
     VALUE,
     WANTED,
+    Picture,
     fill_pixels,
     fill_positions,
     fill_template,
@@ -98,7 +99,7 @@ MOST = kernel.STATE + TERMS
 
 @register_jitable(error_model="numpy")
 def _table(
-    image: GrayImage, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
+    image: Picture, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
 ) -> NDArray[np.float32]:
     """Table of all pixels of the window, whose matrix and box `workspace` holds; see `tracker.register.sampling`."""
     _, matrix, box, _, _ = workspace
@@ -244,7 +245,7 @@ def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, sha
 
 @register_jitable(error_model="numpy")
 def _fit(
-    image: GrayImage,
+    image: Picture,
     state: FloatArray,
     warp: FloatArray,
     template: kernel.Grid,
@@ -300,7 +301,7 @@ def _fit(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reconsider(
-    image: GrayImage,
+    image: Picture,
     warp: FloatArray,
     template: kernel.Grid,
     camera: kernel.Pixels,
