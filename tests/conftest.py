@@ -39,6 +39,10 @@ LONGEST_FIRST = (
     "tracker/follow/test_look_alikes.py",
     "tracker/markers/test_detection.py",
     "modalcam/cli/test_cli.py",
+    # After those before, for which the samples take time: it needs their run.
+    "modalcam/pipeline/test_compile.py",
+    "modalcam/pipeline/test_dask.py",
+    "tracker/video/test_contract.py",
 )
 
 
