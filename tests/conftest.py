@@ -1,5 +1,6 @@
 """Setup of all tests: kernels compiled before workers start, slowest files first, runs shared by workers."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -18,6 +19,8 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 # suite starts dozens of processes, and each would compile all packages again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# Until all tests are collected: what is imported stays, and looking for cycles in it takes a fifth of the time.
+gc.disable()
 
 # Tests have no time limit per example, so that they do not fail on a busy machine.
 settings.register_profile("untimed", deadline=None)
@@ -36,6 +39,10 @@ LONGEST_FIRST = (
     "tracker/follow/test_look_alikes.py",
     "tracker/markers/test_detection.py",
     "modalcam/cli/test_cli.py",
+    # After those before, for which the samples take time: it needs their run.
+    "modalcam/pipeline/test_compile.py",
+    "modalcam/pipeline/test_dask.py",
+    "tracker/video/test_contract.py",
 )
 
 
@@ -44,6 +51,12 @@ def pytest_configure(config):
     controller = not hasattr(config, "workerinput")
     if controller and getattr(config.option, "numprocesses", None):
         compile_kernels()
+
+
+def pytest_collection_finish():
+    """Collect cycles again, but not in what was imported and collected."""
+    gc.freeze()
+    gc.enable()
 
 
 def unmeasured_environment():

@@ -1,7 +1,7 @@
 """Compilation of the kernels of tracking: the entry point is called with tiny films, so that numba keeps what it needs.
 
-The films are arrays in memory with the pixels of the usual camera, 8 bits. Kernels for other pixels are compiled by the
-first recording that has them.
+The films are arrays in memory with the pixels of the usual camera, 8 bits. Markers are followed by the same kernels in
+16 bits; those that learn templates, and lines, are compiled for other pixels by the first recording that has them.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from sim.beam import PAD, REORDER, add_product
 from sim.dynamics.forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate, keep_strain
@@ -117,7 +118,7 @@ class Memory(NamedTuple):
     kept: IntArray
 
 
-@njit(cache=True)
+@register_jitable
 def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> None:
     """Fill `now` with a state."""
     for i in range(q.size):
@@ -133,7 +134,7 @@ def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> 
         interpolate(now.q, q.size, structure.air.dshape, now.air)
 
 
-@njit(cache=True, fastmath=REORDER)
+@register_jitable(fastmath=REORDER)
 def total_energy(now: Moment, structure: Structure, load: FloatArray) -> float:
     """Kinetic, strain and potential energy, which the step conserves; the kinetic one with the modal correction."""
     energy = axial_energy(now.axial, structure.axial)
@@ -144,7 +145,7 @@ def total_energy(now: Moment, structure: Structure, load: FloatArray) -> float:
     return energy
 
 
-@njit(cache=True, fastmath=REORDER)
+@register_jitable(fastmath=REORDER)
 def equation(
     h: float,
     now: Moment,
@@ -203,7 +204,7 @@ def memory_for(structure: Structure) -> Memory:
     )
 
 
-@njit(cache=True, fastmath=REORDER)
+@register_jitable(fastmath=REORDER)
 def accept(
     h: float, guess: FloatArray, dof_scale: FloatArray, history: FloatArray, q: FloatArray, v: FloatArray
 ) -> float:

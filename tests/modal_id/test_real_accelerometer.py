@@ -29,7 +29,7 @@ def identified(pattern):
     ("pattern", "frequency_hz", "tolerance_hz"),
     [
         pytest.param("30cm*21-08-55*", 16.33, 0.05, marks=pytest.mark.slow),
-        ("30cm*21-12-02*", 16.33, 0.05),
+        pytest.param("30cm*21-12-02*", 16.33, 0.05, marks=pytest.mark.slow),
         pytest.param("30cm*21-13-02*", 16.33, 0.05, marks=pytest.mark.slow),
         pytest.param("50cm*11-46-55*", 6.05, 0.02, marks=pytest.mark.slow),
         pytest.param("50cm*11-47-32*", 6.05, 0.02, marks=pytest.mark.slow),

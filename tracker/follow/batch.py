@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker import flags
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
+from tracker.arrays import FlagArray, FloatArray, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
-from tracker.register import acceptable, correlation, kernel, reconsider
+from tracker.register import Picture, acceptable, correlation, kernel, reconsider
 
 
 @dataclass(frozen=True)
@@ -104,9 +105,9 @@ def frame_arrays(markers: int) -> FrameArrays:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def register_all(
-    image: GrayImage,
+    image: Picture,
     aims: FloatArray,
     last: LastSeen,
     markers: MarkerArrays,
@@ -214,7 +215,7 @@ def store_fits(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_plain(
-    image: GrayImage,
+    image: Picture,
     memory: Memory,
     last: LastSeen,
     markers: MarkerArrays,

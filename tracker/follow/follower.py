@@ -13,7 +13,7 @@ from tracker.follow.fits import Fits
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery, SimilarMarkers
 from tracker.markers import MarkerDetector, SimilarMarkerDetector
-from tracker.register import Camera, MarkerModel, kernel
+from tracker.register import Camera, MarkerModel, kernel, picture
 from tracker.template import blur as motion_blur
 from tracker.template import exposed_path_px, is_blur, path_length_px
 
@@ -90,7 +90,7 @@ class Follower:
         least_px = motion_blur.TUNING.smallest_px
         most_blur_px = -1.0 if doubt else least_px if self._exposure_share > 0.0 else np.inf
         outcome = batch.follow_plain(
-            image,
+            picture(image),
             self._predictor.memory,
             self._fits.last,
             self._fits.arrays,

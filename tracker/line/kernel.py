@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
@@ -108,7 +109,7 @@ class Stations(NamedTuple):
     blur: FloatArray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _blurred(coefs: FloatArray, width: float, out: FloatArray) -> None:
     """Mean of a spline over a path of `width` steps, from the linear interpolation of its coefficients.
 
@@ -146,7 +147,7 @@ def box_around(
     box[2], box[3] = int(np.ceil(py - half_y)), int(np.floor(py + half_y))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _collect(
     image: GrayImage,
     texture: NDArray[np.float32],
@@ -198,7 +199,7 @@ def polynomials_of(coefs: FloatArray, out: FloatArray) -> None:
         out[j, 3] = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def station_polynomials(
     profiles: Profiles, k: int, blur_px: float, blurred: FloatArray, scratch: FloatArray
 ) -> FloatArray:
@@ -223,7 +224,7 @@ def profile_value(polynomials: FloatArray, at: float) -> float:
 
 
 # Sums in any order, so that the loop is vectorised.
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDER)
+@register_jitable(error_model="numpy", fastmath=REORDER)
 def _sums(
     pixels: FloatArray,
     count: int,
@@ -281,7 +282,7 @@ def _sums(
     out[10], out[11], out[12], out[13] = used, expected, saturated, du
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _register_station(
     image: GrayImage,
     stations: Stations,

@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line import kernel
+from tracker.line.cholesky import solve_in_place
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,9 @@ class Tuning:
 TUNING = Tuning()
 # Frozen into compiled code.
 NEIGHBOURS = TUNING.neighbours
+FEW_STATIONS = (
+    f"light along a line: expected at least {TUNING.terms} stations with a fit; leave out the frame"
+)
 
 
 class Light(NamedTuple):
@@ -89,18 +94,26 @@ def learned_light(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def known_light_shift(light: Light, results: FloatArray, used: BoolArray, out: FloatArray) -> None:
-    """Change of each displacement, (m,), if gain and offset were as smooth along the line as light is."""
+    """Change of each displacement, (m,), if gain and offset were as smooth along the line as light is.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where fewer than `TUNING.terms` stations are used; a follower uses none with so few.
+    """
     m, terms = light.basis.shape
-    normal, rhs = np.zeros((terms, terms)), np.zeros((terms, 2))
+    normal, rhs, smooth = np.zeros((terms, terms)), np.zeros((2, terms)), np.zeros((2, terms))
     for k in range(m):
         if not used[k]:
             continue
         for i in range(terms):
             for c in range(2):
-                rhs[i, c] += light.basis[k, i] * (results[k, kernel.GAIN + c] - light.typical[k, c])
+                rhs[c, i] += light.basis[k, i] * (results[k, kernel.GAIN + c] - light.typical[k, c])
             for j in range(terms):
                 normal[i, j] += light.basis[k, i] * light.basis[k, j]
-    smooth = np.linalg.solve(normal, rhs)
+    for c in range(2):
+        if not solve_in_place(normal.copy(), rhs[c], smooth[c]):
+            raise np.linalg.LinAlgError(FEW_STATIONS)
     for k in range(m):
         out[k] = 0.0
         if not used[k]:
@@ -108,11 +121,11 @@ def known_light_shift(light: Light, results: FloatArray, used: BoolArray, out: F
         for c in range(2):
             off = results[k, kernel.GAIN + c] - light.typical[k, c]
             for i in range(terms):
-                off -= light.basis[k, i] * smooth[i, c]
+                off -= light.basis[k, i] * smooth[c, i]
             out[k] += off * results[k, kernel.BY_GAIN + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def hold_light(light: Light, results: FloatArray, used: BoolArray) -> None:
     """Change displacement and sd of the stations used to those for the light of their neighbours.
 

@@ -13,7 +13,11 @@ from tracker.line import kernel
 @njit(cache=True, nogil=True, error_model="numpy")
 def most_pixels(stations: kernel.Stations) -> int:
     """Upper bound of the number of pixels of a window: those of the square around it, in any direction."""
-    side = 2 * int(np.max(np.hypot(stations.half_along, stations.half_across))) + 3
+    reach = 0.0
+    # Entry by entry: compiling the maximum of an array takes numba a second.
+    for k in range(stations.half_along.size):
+        reach = max(reach, np.hypot(stations.half_along[k], stations.half_across[k]))
+    side = 2 * int(reach) + 3
     return side * side
 
 

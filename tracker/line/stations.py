@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
+from tracker.line.cholesky import solve_in_place
 from tracker.line.light import Light, hold_light
 from tracker.prediction import TUNING as PREDICTION
 
@@ -148,7 +150,7 @@ def at_stations(line: LineArrays, values: FloatArray, out: FloatArray) -> None:
         out[k] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: FloatArray) -> None:
     splines = out.size
     normal, rhs = line.stiffness.copy(), np.zeros(splines)
@@ -164,32 +166,10 @@ def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: Floa
             for j in range(i + 1):
                 normal[i, j] += a * line.fine[0, 2 * k + 1, j]
     # The stiffness makes the matrix positive definite.
-    _solve(normal, rhs, out)
+    solve_in_place(normal, rhs, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _solve(normal: FloatArray, rhs: FloatArray, out: FloatArray) -> None:
-    """Solution of a positive definite system by Cholesky decomposition in place, of its lower triangle."""
-    splines = out.size
-    for i in range(splines):
-        for j in range(i + 1):
-            total = normal[i, j]
-            for k in range(j):
-                total -= normal[i, k] * normal[j, k]
-            normal[i, j] = np.sqrt(max(total, 1e-12)) if i == j else total / normal[j, j]
-    for i in range(splines):
-        total = rhs[i]
-        for k in range(i):
-            total -= normal[i, k] * out[k]
-        out[i] = total / normal[i, i]
-    for i in range(splines - 1, -1, -1):
-        total = out[i]
-        for k in range(i + 1, splines):
-            total -= normal[k, i] * out[k]
-        out[i] = total / normal[i, i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _accept(line: LineArrays, results: FloatArray, states: FloatArray, accepted: BoolArray) -> int:
     """Mark the stations whose fit is the line; returns their number."""
     count = 0
@@ -212,7 +192,7 @@ def _accept(line: LineArrays, results: FloatArray, states: FloatArray, accepted:
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def smooth_line(
     line: LineArrays, results: FloatArray, rest: FloatArray, accepted: BoolArray, smooth: FloatArray
 ) -> None:
@@ -406,7 +386,7 @@ def learn_recursion(
     system, weights = normal.copy(), np.empty(ORDER)
     for a in range(ORDER):
         system[a, a] += coefs.size * LEARNABLE_PX**2 / (1.0 - MEMORY)
-    _solve(system, rhs, weights)
+    solve_in_place(system, rhs, weights)
     ahead[0], ahead[ORDER] = 1.0 + weights[0], -weights[ORDER - 1]
     for a in range(1, ORDER):
         ahead[a] = weights[a] - weights[a - 1]

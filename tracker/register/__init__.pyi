@@ -17,3 +17,5 @@ from .marker import fixed_point_px as fixed_point_px
 from .marker import register as register
 from .marker import without_edges as without_edges
 from .poor_fit import reconsider as reconsider
+from .sampling import Picture as Picture
+from .sampling import picture as picture

@@ -7,16 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.register.sampling import (
     BAND_PIXELS,
     CLIPPED,
     EXPECTED,
     SUMS,
     USED,
+    Picture,
     PixelBuffers,
     add_up,
     fill_pixels,
@@ -181,7 +183,7 @@ def solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _grid_matrix(angle: float, warp: FloatArray, oversampling: float, matrix: FloatArray) -> None:
     """From the image to the grid: rotation by -angle after the warp to the marker's frame."""
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -190,7 +192,7 @@ def _grid_matrix(angle: float, warp: FloatArray, oversampling: float, matrix: Fl
         matrix[1, c] = (-sine * warp[0, c] + cosine * warp[1, c]) * oversampling
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _box(
     state: FloatArray,
     matrix: FloatArray,
@@ -222,7 +224,7 @@ def place(state: FloatArray, warp: FloatArray, template: Grid, workspace: Worksp
     return _box(state, matrix, template.support.shape, template.reach, template.stride, box)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _normal_equations(
     sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
 ) -> None:
@@ -257,7 +259,7 @@ def _normal_equations(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(
-    image: GrayImage,
+    image: Picture,
     state: FloatArray,
     warp: FloatArray,
     template: Grid,
@@ -293,7 +295,7 @@ def _accumulate(
     return sums
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: float) -> bool:
     """Take a share of the step within the validity of the gradients; whether it is short enough to be the last."""
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
@@ -312,7 +314,7 @@ def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: f
     return bool(short and abs(rotation) * min(reach, TURNING_REACH_PX) < 2.0 * STEP_TOLERANCE_PX)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _conclude(
     state: FloatArray,
     sums: FloatArray,
@@ -339,7 +341,7 @@ def _conclude(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def register(
-    image: GrayImage,
+    image: Picture,
     start: FloatArray,
     warp: FloatArray,
     template: Grid,
@@ -353,7 +355,8 @@ def register(
 
     Parameters
     ----------
-    image : uint8 or uint16 array, shape (height, width)
+    image : tuple of arrays, shape (height, width)
+        From `tracker.register.sampling.picture`.
     start : array, shape (5,)
         x_px, y_px, angle_rad, gain, offset. With a NaN among them the fit fails.
     warp : array, shape (2, 2)

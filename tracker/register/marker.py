@@ -14,6 +14,7 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, part_around
 from tracker.register import kernel
 from tracker.register.poor_fit import reconsider
+from tracker.register.sampling import picture
 from tracker.template import NoiseModel, Template
 
 
@@ -108,10 +109,11 @@ def register(
     result = np.empty(kernel.RESULT)
     reach, stride = template.image_reach_px(warp), template.stride(warp)
     grid, space = kernel.Grid(*template.grid, template.oversampling, reach, stride), kernel.make_workspace()
-    kernel.register(image, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
+    pixels = picture(image)
+    kernel.register(pixels, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
     if light is not None:
         result[kernel.LIGHT] = light
-        reconsider(image, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
+        reconsider(pixels, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
     return result
 
 

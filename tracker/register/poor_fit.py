@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.register import kernel
 from tracker.register.sampling import (
     FROM_U,
@@ -19,6 +20,7 @@ from tracker.register.sampling import (
     SLOPE_V,
     VALUE,
     WANTED,
+    Picture,
     fill_pixels,
     fill_positions,
     fill_template,
@@ -95,9 +97,9 @@ TERMS = (DEGREE + 1) * (DEGREE + 2) // 2 - 1
 MOST = kernel.STATE + TERMS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _table(
-    image: GrayImage, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
+    image: Picture, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
 ) -> NDArray[np.float32]:
     """Table of all pixels of the window, whose matrix and box `workspace` holds; see `tracker.register.sampling`."""
     _, matrix, box, _, _ = workspace
@@ -109,7 +111,7 @@ def _table(
     return table
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _fill_gradient(
     table: NDArray[np.float32],
     n: int,
@@ -138,7 +140,7 @@ def _fill_gradient(
         first += degree
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _add_up(
     table: NDArray[np.float32],
     state: FloatArray,
@@ -181,7 +183,7 @@ def _add_up(
     return chi2, used
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _find_weak(
     normal: FloatArray, scores: FloatArray, order: int, chi2: float, weak: FloatArray, variances: FloatArray
 ) -> bool:
@@ -203,7 +205,7 @@ def _find_weak(
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _variance(scores: FloatArray, inverse: FloatArray, size: int, chi2: float, weak: FloatArray) -> float:
     """Variance along `weak` for residuals that are alike within a block, at least that for independent ones.
 
@@ -226,7 +228,7 @@ def _variance(scores: FloatArray, inverse: FloatArray, size: int, chi2: float, w
     return float(max(total * used / max(used - size, 1), chi2 * independent))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, share: float) -> None:
     """Take a share of the step in the position, of 1 px at most, and the whole step in the other unknowns."""
     size = order + TERMS
@@ -241,9 +243,9 @@ def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, sha
         light[k] += rhs[size + order + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@register_jitable(error_model="numpy")
 def _fit(
-    image: GrayImage,
+    image: Picture,
     state: FloatArray,
     warp: FloatArray,
     template: kernel.Grid,
@@ -299,7 +301,7 @@ def _fit(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reconsider(
-    image: GrayImage,
+    image: Picture,
     warp: FloatArray,
     template: kernel.Grid,
     camera: kernel.Pixels,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, register_jitable
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
@@ -101,6 +101,20 @@ def _down_the_columns(
 # Compiled callers omit the typing context.
 _weigh: Any = _down_the_columns
 
+# The pixels of a frame as kernels take them, one of both arrays empty: all but `_fill_pixels` is compiled once, not for
+# each type of pixels, which would take 15 s.
+Picture = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+_NO_8, _NO_16 = np.empty((0, 0), dtype=np.uint8), np.empty((0, 0), dtype=np.uint16)
+
+
+def picture(image: GrayImage) -> Picture:
+    """Pixels of a frame, shape (height, width), for compiled code; a copy only where they are not contiguous."""
+    pixels = np.ascontiguousarray(image)
+    if pixels.dtype == np.uint8:
+        return np.asarray(pixels, dtype=np.uint8), _NO_16
+    return _NO_8, np.asarray(pixels, dtype=np.uint16)
+
+
 PixelBuffers = tuple[
     NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.uint8]
 ]
@@ -170,8 +184,16 @@ def fill_positions(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=REORDER)
-def fill_pixels(image: GrayImage, box: NDArray[np.int64], table: NDArray[np.float32]) -> None:
+def fill_pixels(image: Picture, box: NDArray[np.int64], table: NDArray[np.float32]) -> None:
     """PIXEL and SEEN of the pixels of a box, which may lie partly or completely outside the image."""
+    if image[0].size > 0:
+        _fill_pixels(image[0], box, table)
+    else:
+        _fill_pixels(image[1], box, table)
+
+
+@register_jitable(error_model="numpy", forceinline=True, fastmath=REORDER)
+def _fill_pixels(image: GrayImage, box: NDArray[np.int64], table: NDArray[np.float32]) -> None:
     height, width = image.shape
     left, across, top, down, stride = box[0], box[1], box[2], box[3], box[4]
     whole = left >= 0 and left + (across - 1) * stride < width

@@ -51,8 +51,8 @@ def test_invalid_noise_gives_a_failed_fit(noise: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize("corner", [(20.3, 19.6), (3.2, 37.9), (-60.0, 20.0)])
-@pytest.mark.parametrize("stride", [1, 3])
-def test_sampled_template_is_scipys_spline(corner: tuple[float, float], stride: int) -> None:
+@pytest.mark.parametrize(("stride", "pixel"), [(1, np.uint8), (3, np.uint8), (1, np.uint16), (3, np.uint16)])
+def test_sampled_template_is_scipys_spline(corner: tuple[float, float], stride: int, pixel: type) -> None:
     """Value, slopes and support of each pixel against scipy, inside, at the edge of and outside the image.
 
     The kernel uses single precision for values up to 1, with about ten roundings of 6e-8 each: 2e-6. The
@@ -65,11 +65,11 @@ def test_sampled_template_is_scipys_spline(corner: tuple[float, float], stride: 
     matrix = scale * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     centre = np.array([*corner, 0.0])
     box = np.array([int(corner[0]) - 11, 23 // stride, int(corner[1]) - 11, 22 // stride, stride])
-    image = np.random.default_rng(3).integers(0, 255, (40, 40)).astype(np.uint8)
+    image = np.random.default_rng(3).integers(0, np.iinfo(pixel).max, (40, 40)).astype(pixel)
     pixels = int(box[1] * box[3])
     table, cell, nearest, columns, mask = sampling.make_pixel_buffers(pixels)
     sampling.fill_positions(centre, matrix, box, support.shape, table, cell, nearest)
-    sampling.fill_pixels(image, box, table)
+    sampling.fill_pixels(sampling.picture(image), box, table)
     sampling.fill_template(coefs, support, cell, nearest, pixels, columns, mask, table)
     down, across = np.meshgrid(np.arange(box[3]), np.arange(box[1]), indexing="ij")
     x, y = (box[0] + stride * across).ravel(), (box[2] + stride * down).ravel()
@@ -113,7 +113,7 @@ def test_sums_over_bands_are_those_over_the_whole_marker() -> None:
     table, cell, nearest, columns, mask = buffers
     n = int(box[1] * box[3])
     sampling.fill_positions(state, matrix, box, support.shape, table, cell, nearest)
-    sampling.fill_pixels(image, box, table)
+    sampling.fill_pixels(sampling.picture(image), box, table)
     sampling.fill_template(coefs, support, cell, nearest, n, columns, mask, table)
     rows = table[:, :n].astype(np.float64)
     model = state[3] * rows[sampling.VALUE] + state[4]
@@ -121,7 +121,9 @@ def test_sums_over_bands_are_those_over_the_whole_marker() -> None:
     residual = rows[sampling.PIXEL] - model
     normal, rhs = np.zeros((5, 5)), np.zeros(10)
     grid, camera = kernel.Grid(coefs, support, template.oversampling, 100.0, 1), kernel.Pixels(noise, 255.0)
-    sums = kernel._accumulate(image, state, np.eye(2), grid, camera, kernel.make_workspace(), normal, rhs)
+    sums = kernel._accumulate(
+        sampling.picture(image), state, np.eye(2), grid, camera, kernel.make_workspace(), normal, rhs
+    )
     expected = np.count_nonzero(rows[sampling.WANTED])
     assert sums[sampling.USED] == expected, (
         f"{sums[sampling.USED]} pixels used, the whole table has {expected}"
