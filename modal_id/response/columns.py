@@ -25,8 +25,8 @@ class Tuning:
 
 TUNING = Tuning()
 
-#: Columns beside those of the modes: the input itself, and the polynomial.
-FIXED = 1 + TUNING.drift_degree + 1
+#: Columns beside those of the modes: the input, its second derivative (the modes above the band), the polynomial.
+FIXED = 2 + TUNING.drift_degree + 1
 #: Columns of a mode: real and imaginary parts of the response to the input and of the free decay.
 OF_MODE = 4
 
@@ -108,11 +108,11 @@ class Samples:
         return replace(self, input=values)
 
     def in_time(self, poles: ComplexArray) -> FloatArray:
-        """Columns of the fit: input, drift, and four of each mode; shape (n, FIXED + OF_MODE m)."""
+        """Columns of the fit: input, its second derivative, drift, and four of each mode; shape (n, FIXED + OF_MODE m)."""
         functions = mode_functions(self.time_s - self.time_s[0], poles)
         unit = 2.0 * (self.time_s - self.time_s[0]) / self.span_s - 1.0
         values = self.drive.at_samples()
-        found = [values[:, None], legvander(unit, TUNING.drift_degree)]
+        found = [values[:, None], self.drive.curvature()[:, None], legvander(unit, TUNING.drift_degree)]
         for index, pole in enumerate(poles):
             driven, free = self.drive.response(pole), functions[:, index]
             found.append(np.column_stack([driven.real, driven.imag, free.real, free.imag]))
@@ -126,7 +126,7 @@ class Samples:
         """Derivatives of the modes' four columns with respect to Re lambda, as `rows`; shape (2 b, OF_MODE m)."""
         functions = mode_functions(self.time_s - self.time_s[0], poles)
         elapsed = self.time_s - self.time_s[0]
-        found = []
+        found = [np.empty((elapsed.size, 0))]
         for index, pole in enumerate(poles):
             driven, free = self.drive.slope(pole), elapsed * functions[:, index]
             found.append(np.column_stack([driven.real, driven.imag, free.real, free.imag]))
@@ -143,13 +143,14 @@ def amplitudes(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 
 
 def transfer(frequency_hz: FloatArray, poles: ComplexArray, direct: FloatArray, driven: ComplexArray) -> ComplexArray:
-    """Frequency response ``g + sum of (c / (i w - lambda) + c* / (i w - lambda*)) / 2``; shape (b, k).
+    """Frequency response ``g - w^2 h + sum of (c / (i w - lambda) + c* / (i w - lambda*)) / 2``; shape (b, k).
 
-    `direct`, shape (k,), is g; `driven`, shape (m, k), is c.
+    `direct`, shape (2, k), is g and h; `driven`, shape (m, k), is c.
     """
     s = 2j * np.pi * frequency_hz[:, None]
     return np.asarray(
-        direct
+        direct[0]
+        + s**2 * direct[1]
         + 0.5 * (1.0 / (s - poles)) @ driven
         + 0.5 * (1.0 / (s - np.conj(poles))) @ np.conj(driven)
     )

@@ -58,6 +58,11 @@ class Drive:
         end = np.polyval(self.coefficients[:, -1], self.steps_s[-1])
         return np.append(self.coefficients[3], end)
 
+    def curvature(self) -> FloatArray:
+        """Second derivative of the input at the samples; shape (n,)."""
+        end = 2.0 * self.coefficients[1, -1] + 6.0 * self.coefficients[0, -1] * self.steps_s[-1]
+        return np.append(2.0 * self.coefficients[1], end)
+
     def slope(self, pole: complex) -> ComplexArray:
         """Derivative of the response with respect to lambda, of which it is an analytic function; shape (n,)."""
         step = TUNING.difference * (abs(pole.real) + 1.0 / float(np.sum(self.steps_s)))

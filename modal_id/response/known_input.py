@@ -100,7 +100,7 @@ class ResponseFit:
 
     def transfer(self, frequency_hz: FloatArray) -> ComplexArray:
         """Frequency response of each output; shape (frequencies, k)."""
-        return transfer(frequency_hz, self.poles, self.coefficients[0], amplitudes(self.coefficients)[0])
+        return transfer(frequency_hz, self.poles, self.coefficients[:2], amplitudes(self.coefficients)[0])
 
 
 def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: float) -> ResponseFit | None:
@@ -120,55 +120,71 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     Identification*, 2nd ed., 2012, section 9.12, doi:10.1002/9781118287422). Weights are ``1 / S_kk``; the covariance
     of the result contains the correlation of the outputs that the common input causes.
     """
-    poles = np.empty(0, dtype=complex)
-    score = _White(samples, poles).score
-    n_rows, k = samples.outputs.shape
-    penalty = 0.5 * (2 + OF_MODE * k) * np.log(n_rows)
-    while poles.size < max_modes:
-        trial = _with_another(samples, poles, lowest_hz)
-        if trial is None or score - trial.score < penalty:
+    bins, outputs = samples.frequency_hz.size, samples.values.shape[1]
+    penalty = 0.5 * (2 + OF_MODE * outputs) * np.log(2 * bins)
+    found = _first(samples, input_sd)
+    while found.poles.size < max_modes:
+        trial = _with_another(found, lowest_hz)
+        if trial is None or _Weighted(samples, found.poles, found.weights).score - trial.score < penalty:
             break
-        poles, score = trial.poles, trial.score
-    while poles.size:
-        found = _refined(samples, poles, input_sd)
-        kept = _significant(found, penalty)
-        if kept.all():
-            order = np.argsort(np.abs(found.poles))
-            return found if np.all(np.diff(order) > 0) else _refined(samples, found.poles[order], input_sd)
-        poles = found.poles[kept]
-    return None
+        better = _refined(samples, trial.poles, input_sd, found.noise)
+        if not _significant(better, penalty).all():
+            break
+        found = better
+    if not found.poles.size:
+        return None
+    return _refined(samples, found.poles[np.argsort(np.abs(found.poles))], input_sd, found.noise)
 
 
-class _White:
-    """Least squares with white noise of its own level in each output."""
+def _first(samples: Samples, input_sd: float) -> ResponseFit:
+    """The fit without modes."""
+    level = np.maximum(np.mean(samples.outputs**2, axis=0), 1e-300)
+    noise = Noise(np.tile(level, (samples.frequency_hz.size, 1)), 0.0)
+    return _refined(samples, np.empty(0, dtype=complex), input_sd, noise)
 
-    def __init__(self, samples: Samples, poles: ComplexArray) -> None:
-        self.samples, self.poles = samples, poles
-        scaled, self._scale = _scaled(samples.columns(poles))
-        self._basis, self._triangle = np.linalg.qr(scaled)
-        self.residual = samples.outputs - self._basis @ (self._basis.T @ samples.outputs)
-        floor = TUNING.least_noise * np.sum(samples.outputs**2, axis=0) + 1e-300
+
+class _Weighted:
+    """Least squares with given weights, shape (b, k), up to the noise level of each output."""
+
+    def __init__(self, samples: Samples, poles: ComplexArray, weights: FloatArray) -> None:
+        self.samples, self.poles, self._weights = samples, poles, weights
+        root = np.sqrt(np.concatenate([weights, weights]))
+        self._root = root / np.sqrt(np.mean(root**2, axis=0))
+        columns, self._scale = _scaled(samples.columns(poles))
+        self._factors = [np.linalg.qr(columns * own[:, None]) for own in self._root.T]
+        values = samples.outputs * self._root
+        self._explained = [q.T @ values[:, out] for out, (q, _) in enumerate(self._factors)]
+        self.residual = np.column_stack(
+            [values[:, out] - q @ self._explained[out] for out, (q, _) in enumerate(self._factors)]
+        )
+        floor = TUNING.least_noise * np.sum(values**2, axis=0) + 1e-300
         self.rss = np.maximum(np.sum(self.residual**2, axis=0), floor)
         #: Negative log likelihood.
-        self.score = float(0.5 * samples.outputs.shape[0] * np.sum(np.log(self.rss)))
+        self.score = float(0.5 * values.shape[0] * np.sum(np.log(self.rss)))
 
-    def stepped(self) -> _White | None:
+    def stepped(self) -> _Weighted | None:
         """After one step of the poles that lowers the score; None where there is none."""
-        raw = np.linalg.lstsq(self._triangle, self._basis.T @ self.samples.outputs, rcond=1e-12)[0]
-        slopes = _pole_slopes(self.samples.slopes(self.poles), raw / self._scale[:, None])
-        slopes = slopes - np.einsum("rp,pjk->rjk", self._basis, np.einsum("rp,rjk->pjk", self._basis, slopes))
-        information = np.einsum("rik,rjk,k->ij", slopes, slopes, 1.0 / self.rss)
-        step = np.linalg.pinv(information) @ np.einsum("rjk,rk,k->j", slopes, self.residual, 1.0 / self.rss)
-        change = _limited(step, self.poles, self.samples)
+        solved = [
+            np.linalg.lstsq(r, own, rcond=1e-12)[0] for (_, r), own in zip(self._factors, self._explained, strict=True)
+        ]
+        slopes = _pole_slopes(self.samples.slopes(self.poles), np.column_stack(solved) / self._scale[:, None])
+        m = 2 * self.poles.size
+        information, gradient = np.zeros((m, m)), np.zeros(m)
+        for out, (basis, _) in enumerate(self._factors):
+            own = slopes[:, :, out] * self._root[:, [out]]
+            own -= basis @ (basis.T @ own)
+            information += own.T @ own / self.rss[out]
+            gradient += own.T @ self.residual[:, out] / self.rss[out]
+        change = _limited(np.linalg.pinv(information) @ gradient, self.poles, self.samples)
         for _ in range(TUNING.halvings):
             if _is_mode(self.poles + change).all():
-                trial = _White(self.samples, self.poles + change)
+                trial = _Weighted(self.samples, self.poles + change, self._weights)
                 if trial.score < self.score:
                     return trial
             change = 0.4 * change
         return None
 
-    def converged(self) -> _White:
+    def converged(self) -> _Weighted:
         """After as many steps as help."""
         found = self
         for _ in range(TUNING.search_steps):
@@ -182,44 +198,41 @@ class _White:
         return found
 
 
-def _with_another(samples: Samples, poles: ComplexArray, lowest_hz: float) -> _White | None:
+def _with_another(found: ResponseFit, lowest_hz: float) -> _Weighted | None:
     """The best fit with one more mode, at one of the peaks of the residual spectrum."""
-    white = _White(samples, poles)
-    size = samples.outputs.shape[0] // 2
-    square = white.residual[:size] ** 2 + white.residual[size:] ** 2
-    power = uniform_filter1d(np.sum(square / white.rss, axis=1), 3)
+    samples, poles, weights = found.samples, found.poles, found.weights
+    size = weights.shape[0]
+    square = found.residual[:size] ** 2 + found.residual[size:] ** 2
+    power = uniform_filter1d(np.sum(square * weights, axis=1), 3)
     frequency_hz, taken = samples.frequency_hz, np.zeros(size, dtype=bool)
     taken[frequency_hz < max(lowest_hz, 2.0 / samples.span_s)] = True
-    best: _White | None = None
+    best: _Weighted | None = None
     for _ in range(TUNING.peaks):
         if taken.all():
             break
         at = frequency_hz[int(np.argmax(np.where(taken, -1.0, power)))]
         taken |= np.abs(frequency_hz - at) < max(0.05 * at, 3.0 / samples.span_s)
+        omega = 2.0 * np.pi * at
         for ratio in TUNING.damping_ratios:
-            omega = 2.0 * np.pi * at
-            trial = _White(samples, np.append(poles, -ratio * omega + 1j * omega * np.sqrt(1.0 - ratio**2)))
+            start = -ratio * omega + 1j * omega * np.sqrt(1.0 - ratio**2)
+            trial = _Weighted(samples, np.append(poles, start), weights)
             if best is None or trial.score < best.score:
                 best = trial
     return None if best is None else best.converged()
 
 
-def _refined(samples: Samples, poles: ComplexArray, input_sd: float) -> ResponseFit:
-    """Poles with the noise spectra of outputs and input, all iterated together."""
-    size, k = samples.frequency_hz.size, samples.values.shape[1]
-    white = _White(samples, poles)
-    level = np.tile(white.rss / samples.outputs.shape[0], (size, 1))
-    found = _solved(samples, samples, poles, Noise(level, 0.0), np.ones((size, k)) * np.mean(level, axis=0) ** -1)
+def _refined(samples: Samples, poles: ComplexArray, input_sd: float, noise: Noise) -> ResponseFit:
+    """Poles with the noise spectra of outputs and input, all iterated together from a first noise."""
+    found = _solved(samples, samples, poles, noise, 1.0 / noise.output)
     for _ in range(TUNING.rounds):
         samples = _with_missing_filled(found)
         noise = _noise(found, input_sd)
         response = found.transfer(samples.frequency_hz)
         better = _with_likely_input(samples, found, noise, response)
-        for _ in range(2):
-            found = _solved(samples, better, found.poles, noise, noise.weights(response))
-            step = _limited(found.step, found.poles, samples)
-            if _is_mode(found.poles + step).all():
-                found = _solved(samples, better, found.poles + step, noise, noise.weights(response))
+        found = _solved(samples, better, found.poles, noise, noise.weights(response))
+        step = _limited(found.step, found.poles, samples)
+        if _is_mode(found.poles + step).all():
+            found = _solved(samples, better, found.poles + step, noise, noise.weights(response))
     return found
 
 
@@ -248,7 +261,7 @@ def _solved(
     slopes = _pole_slopes(better.slopes(poles), raw / own_scale[:, None])
     information, middle = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, 2 * m))
     gradient, common = np.zeros(2 * m), np.zeros((weights.shape[0], 2 * m), dtype=complex)
-    response = transfer(samples.frequency_hz, poles, raw[0] / own_scale[0], amplitudes(raw / own_scale[:, None])[0])
+    response = transfer(samples.frequency_hz, poles, raw[:2] / own_scale[:2, None], amplitudes(raw / own_scale[:, None])[0])
     leverage, carried, own_slopes = np.empty(weights.shape), [], []
     for out in range(k):
         # Without the part that the coefficients explain: orthogonal to the measured columns.
@@ -415,7 +428,7 @@ def _limited(step: FloatArray, poles: ComplexArray, samples: Samples) -> Complex
     """A step of the poles within the reach of the linearisation: a phase of a radian over the record."""
     change = step[0::2] + 1j * step[1::2]
     limit = 1.0 / samples.span_s + 0.3 * np.abs(poles.real)
-    return np.asarray(change * np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300))))
+    return np.asarray(change * np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)), initial=1.0))
 
 
 def _is_mode(poles: ComplexArray) -> BoolArray:
