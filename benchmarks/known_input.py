@@ -1,7 +1,6 @@
 """Records with a measured base motion, simulated: errors, intervals and computing time of the identified modes.
 
-``python -m benchmarks.known_input --records 30 > known_input.jsonl`` prints a JSON line a record; ``--table FILE`` prints
-the table of such a file.
+``python -m benchmarks.known_input --records 30 > known_input.jsonl`` prints a JSON line a record.
 
 The truth is a sum of sinusoids, whose response from rest is known in closed form, or a sweep, integrated by
 `scipy.integrate.solve_ivp`. Neither uses the splines of `modal_id.response`.
@@ -9,13 +8,8 @@ The truth is a sum of sinusoids, whose response from rest is known in closed for
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-import time
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -44,7 +38,9 @@ def _sweep() -> tuple[np.ndarray, np.ndarray]:
     rate, omega = 2.0 * np.pi * 42.0 / span_s, 2.0 * np.pi * FREQUENCIES_HZ
 
     def base(t: np.ndarray | float) -> np.ndarray:
-        return 0.2 * (1.0 - np.exp(-((np.asarray(t) / 0.3) ** 4))) * np.sin(6.0 * np.pi * t + 0.5 * rate * t**2)
+        return (
+            0.2 * (1.0 - np.exp(-((np.asarray(t) / 0.3) ** 4))) * np.sin(6.0 * np.pi * t + 0.5 * rate * t**2)
+        )
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
         # Relative coordinate plus base motion, x'' = -w^2 (x - u) - 2 zeta w (x' - u'), with v = x' - 2 zeta w u.

@@ -32,6 +32,7 @@ from modal_id.modes import (
 from modal_id.pieces import fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
+from modal_id.response import identify_response
 from modal_id.results import FittedMode, Identification, IdentifiedMode
 from modal_id.segments import (
     PRIOR,
@@ -92,6 +93,8 @@ def identify(
     (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
+    if series.known_input is not None and not settings.output_only:
+        return identify_response(series, settings)
     held = sampled_rows(series)
     if held is not None:
         return in_all_rows(identify(of_rows(series, held[0]), settings), series, *held)

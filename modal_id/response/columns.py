@@ -66,6 +66,11 @@ class Samples:
         """From the first time to the last."""
         return float(self.time_s[-1] - self.time_s[0])
 
+    @property
+    def step_s(self) -> float:
+        """Mean time step."""
+        return self.span_s / (self.time_s.size - 1)
+
     @cached_property
     def frequency_hz(self) -> FloatArray:
         """Of the bins compared; shape (b,)."""
@@ -75,10 +80,10 @@ class Samples:
     @cached_property
     def share_given(self) -> FloatArray:
         """Share of the samples of each output that is not missing; shape (k,)."""
-        return np.mean(self.given, axis=0)
+        return np.asarray(np.mean(self.given, axis=0))
 
     def bins(self, values: FloatArray) -> ComplexArray:
-        """Transform of columns, shape (n, c), at the bins; white noise of variance 1 has real and imaginary parts of 1."""
+        """Transform of columns, shape (n, c), at the bins; the real and imaginary parts of white noise keep its variance."""
         found = rfft(values, axis=0)[self.first : self.last]
         return np.asarray(found * np.sqrt(2.0 / values.shape[0]))
 
@@ -108,7 +113,7 @@ class Samples:
         return replace(self, input=values)
 
     def in_time(self, poles: ComplexArray) -> FloatArray:
-        """Columns of the fit: input, its second derivative, drift, and four of each mode; shape (n, FIXED + OF_MODE m)."""
+        """Columns of the fit, shape (n, FIXED + OF_MODE m): input, its second derivative, drift, four of each mode."""
         functions = mode_functions(self.time_s - self.time_s[0], poles)
         unit = 2.0 * (self.time_s - self.time_s[0]) / self.span_s - 1.0
         values = self.drive.at_samples()
@@ -142,7 +147,18 @@ def amplitudes(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return own[:, 0] - 1j * own[:, 1], own[:, 2] - 1j * own[:, 3]
 
 
-def transfer(frequency_hz: FloatArray, poles: ComplexArray, direct: FloatArray, driven: ComplexArray) -> ComplexArray:
+def spline_gain(frequency_hz: FloatArray, step_s: float) -> FloatArray:
+    """Share of a sinusoid that a cubic spline through its samples contains: ``1 - (w h)^4 / 720``, to lowest order.
+
+    Unser (1999), doi:10.1109/79.799930.
+    """
+    x = frequency_hz * step_s
+    return np.asarray(np.sinc(x) ** 4 * 3.0 / (2.0 + np.cos(2.0 * np.pi * x)))
+
+
+def transfer(
+    frequency_hz: FloatArray, poles: ComplexArray, direct: FloatArray, driven: ComplexArray
+) -> ComplexArray:
     """Frequency response ``g - w^2 h + sum of (c / (i w - lambda) + c* / (i w - lambda*)) / 2``; shape (b, k).
 
     `direct`, shape (2, k), is g and h; `driven`, shape (m, k), is c.

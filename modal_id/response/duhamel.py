@@ -1,4 +1,4 @@
-"""Response of a complex first-order system to a sampled input: the two linear columns of a mode that an input drives."""
+"""Response of a complex first-order system to a sampled input: two linear columns of a mode that an input drives."""
 
 from __future__ import annotations
 

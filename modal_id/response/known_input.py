@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from modal_id.response.columns import FIXED, OF_MODE, Samples, amplitudes, transfer
+from modal_id.response.columns import FIXED, OF_MODE, Samples, amplitudes, spline_gain, transfer
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -33,6 +33,11 @@ class Tuning:
     #: [bins] half width of the average of the noise spectrum
     #: statistics: Standard deviation of the noise level 7 % (about 200 squares in a window).
     half_window: int = 48
+    #: [bins] half width of the average of the input's spectrum
+    near: int = 4
+    #: [1] power of the input over that of its noise below which it drives no mode that can be told
+    #: statistics: The mean of nine bins of noise exceeds three times its expectation once in 30 000.
+    least_power: float = 3.0
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
     #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
     rounds: int = 4
@@ -86,6 +91,8 @@ class ResponseFit:
         Of (Re, Im) of each pole in turn.
     coefficient_covariance : array, shape (k, p, p)
         Of the coefficients of each output, uncertainty of the poles included.
+    coefficient_slopes : array, shape (k, p, 2 m)
+        Change of the best coefficients with (Re, Im) of the poles.
     """
 
     samples: Samples
@@ -97,38 +104,51 @@ class ResponseFit:
     noise: Noise
     covariance: FloatArray
     coefficient_covariance: FloatArray
+    coefficient_slopes: FloatArray
+
+    @property
+    def driven(self) -> ComplexArray:
+        """Factors of the responses to a band-limited input, larger than that to its spline; shape (m, k)."""
+        loss = spline_gain(np.abs(self.poles) / (2.0 * np.pi), self.samples.step_s)
+        return np.asarray(amplitudes(self.coefficients)[0] * loss[:, None])
 
     def transfer(self, frequency_hz: FloatArray) -> ComplexArray:
         """Frequency response of each output; shape (frequencies, k)."""
-        return transfer(frequency_hz, self.poles, self.coefficients[:2], amplitudes(self.coefficients)[0])
+        return transfer(frequency_hz, self.poles, self.coefficients[:2], self.driven)
 
 
 def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: float) -> ResponseFit | None:
     """Modes of the response to the samples' input; None where no mode exceeds the noise.
 
-    Modes are added one by one at peaks of the residual spectrum while the likelihood improves by more than the Bayesian
-    information criterion asks for; then poles, noise spectra and the noise of the input are iterated together, and modes
-    that do not exceed the noise near their own frequency are removed. `input_sd` is the standard deviation of the noise
-    of the input, NaN where unknown: it is then taken from the data, as an upper bound (`_input_noise`).
+    Modes are added one by one at peaks of the residual spectrum, with the noise of outputs and input iterated in
+    between, while the likelihood improves by more than the Bayesian information criterion asks for and the input exceeds
+    its noise there. `input_sd` is the standard deviation of the noise of the input, NaN where unknown: it is then taken
+    from the data, as an upper bound (`_input_noise`).
 
     Notes
     -----
     Errors in variables. With noise in input and outputs the residual ``e = y - G u`` has the covariance
-    ``S = diag(n_y^2) + n_u^2 G G^H``, and the regressors correlate with it: least squares on the measured input
-    overestimates damping. The regressors are therefore made from ``u - E[noise of u | e] = u + n_u^2 G^H S^-1 e``, whose
-    error is independent of e, as an instrument (the maximum-likelihood score of Pintelon & Schoukens, *System
-    Identification*, 2nd ed., 2012, section 9.12, doi:10.1002/9781118287422). Weights are ``1 / S_kk``; the covariance
-    of the result contains the correlation of the outputs that the common input causes.
+    ``S = diag(n_y^2) + n_u^2 G G^H``, and the regressors correlate with it: least squares on the measured input is biased
+    in damping. The regressors are therefore made from ``u - E[noise of u | e] = u + n_u^2 G^H S^-1 e``, whose error is
+    independent of e, as an instrument (the maximum-likelihood score of Pintelon & Schoukens, *System Identification*, 2nd
+    ed., 2012, section 9.12, doi:10.1002/9781118287422). Weights are ``1 / S_kk``; the covariance of the result contains
+    the correlation of the outputs that the common input causes.
     """
     bins, outputs = samples.frequency_hz.size, samples.values.shape[1]
     penalty = 0.5 * (2 + OF_MODE * outputs) * np.log(2 * bins)
     found = _first(samples, input_sd)
     while found.poles.size < max_modes:
         trial = _with_another(found, lowest_hz)
-        if trial is None or _Weighted(samples, found.poles, found.weights).score - trial.score < penalty:
+        if (
+            trial is None
+            or _Weighted(found.samples, found.poles, found.weights).score - trial.score < penalty
+        ):
             break
         better = _refined(samples, trial.poles, input_sd, found.noise)
-        if not _significant(better, penalty).all():
+        at = np.interp(
+            np.abs(better.poles) / (2.0 * np.pi), samples.frequency_hz, _is_driven(samples, better.noise)
+        )
+        if not (_significant(better, penalty) & (at > 0.5)).all():
             break
         found = better
     if not found.poles.size:
@@ -165,7 +185,8 @@ class _Weighted:
     def stepped(self) -> _Weighted | None:
         """After one step of the poles that lowers the score; None where there is none."""
         solved = [
-            np.linalg.lstsq(r, own, rcond=1e-12)[0] for (_, r), own in zip(self._factors, self._explained, strict=True)
+            np.linalg.lstsq(r, own, rcond=1e-12)[0]
+            for (_, r), own in zip(self._factors, self._explained, strict=True)
         ]
         slopes = _pole_slopes(self.samples.slopes(self.poles), np.column_stack(solved) / self._scale[:, None])
         m = 2 * self.poles.size
@@ -206,6 +227,7 @@ def _with_another(found: ResponseFit, lowest_hz: float) -> _Weighted | None:
     power = uniform_filter1d(np.sum(square * weights, axis=1), 3)
     frequency_hz, taken = samples.frequency_hz, np.zeros(size, dtype=bool)
     taken[frequency_hz < max(lowest_hz, 2.0 / samples.span_s)] = True
+    taken |= ~_is_driven(samples, found.noise)
     best: _Weighted | None = None
     for _ in range(TUNING.peaks):
         if taken.all():
@@ -219,6 +241,12 @@ def _with_another(found: ResponseFit, lowest_hz: float) -> _Weighted | None:
             if best is None or trial.score < best.score:
                 best = trial
     return None if best is None else best.converged()
+
+
+def _is_driven(samples: Samples, noise: Noise) -> BoolArray:
+    """Bins near which the input exceeds its noise: a response to noise alone has no instrument; shape (b,)."""
+    power = uniform_filter1d(np.abs(samples.input_bins) ** 2, 2 * TUNING.near + 1)
+    return np.asarray(power > TUNING.least_power * 2.0 * noise.input)
 
 
 def _refined(samples: Samples, poles: ComplexArray, input_sd: float, noise: Noise) -> ResponseFit:
@@ -248,8 +276,7 @@ def _solved(
 ) -> _Solved:
     """Coefficients at given poles by instrumental variables: the columns of `better`, whose input is the likely one."""
     columns, scale = _scaled(samples.columns(poles))
-    own_scale = scale
-    instruments = columns if better is samples else better.columns(poles) / own_scale
+    instruments = columns if better is samples else better.columns(poles) / scale
     root = np.sqrt(np.concatenate([weights, weights]))
     k, p, m = weights.shape[1], columns.shape[1], poles.size
     raw, inverse = np.empty((p, k)), np.empty((k, p, p))
@@ -258,10 +285,12 @@ def _solved(
         inverse[out] = np.linalg.pinv(left.T @ right, rcond=1e-13)
         raw[:, out] = inverse[out] @ (left.T @ (samples.outputs[:, out] * root[:, out]))
     residual = samples.outputs - columns @ raw
-    slopes = _pole_slopes(better.slopes(poles), raw / own_scale[:, None])
+    slopes = _pole_slopes(better.slopes(poles), raw / scale[:, None])
     information, middle = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, 2 * m))
     gradient, common = np.zeros(2 * m), np.zeros((weights.shape[0], 2 * m), dtype=complex)
-    response = transfer(samples.frequency_hz, poles, raw[:2] / own_scale[:2, None], amplitudes(raw / own_scale[:, None])[0])
+    response = transfer(
+        samples.frequency_hz, poles, raw[:2] / scale[:2, None], amplitudes(raw / scale[:, None])[0]
+    )
     leverage, carried, own_slopes = np.empty(weights.shape), [], []
     for out in range(k):
         # Without the part that the coefficients explain: orthogonal to the measured columns.
@@ -292,10 +321,19 @@ def _solved(
     of_coefficients = _coefficient_covariance(
         instruments, weights, noise, response, inverse, carried, covariance, samples.share_given
     )
-    of_coefficients /= own_scale[:, None] * own_scale
+    of_coefficients /= scale[:, None] * scale
     return _Solved(
-        samples, poles, raw / own_scale[:, None], residual, weights, np.clip(leverage, 0.0, 0.95), noise, covariance,
-        of_coefficients, inverted @ gradient,
+        samples,
+        poles,
+        raw / scale[:, None],
+        residual,
+        weights,
+        np.clip(leverage, 0.0, 0.95),
+        noise,
+        covariance,
+        of_coefficients,
+        -np.array(carried) / scale[:, None],
+        inverted @ gradient,
     )
 
 
@@ -323,7 +361,7 @@ def _coefficient_covariance(
 def _with_missing_filled(found: ResponseFit) -> Samples:
     """The samples with the fitted motion where outputs are missing: they then add no information."""
     samples = found.samples
-    if samples.given.all():
+    if samples.given.all() or not found.poles.size:
         return samples
     fitted = samples.in_time(found.poles) @ found.coefficients
     return replace(samples, values=np.where(samples.given, samples.values, fitted))
@@ -336,7 +374,9 @@ def _with_likely_input(samples: Samples, found: ResponseFit, noise: Noise, respo
     half = found.residual.shape[0] // 2
     residual = found.residual[:half] + 1j * found.residual[half:]
     scaled = np.conj(response) / noise.output
-    error = -np.sum(scaled * residual, axis=1) / (1.0 / noise.input + np.sum(np.abs(response) ** 2 / noise.output, axis=1))
+    error = -np.sum(scaled * residual, axis=1) / (
+        1.0 / noise.input + np.sum(np.abs(response) ** 2 / noise.output, axis=1)
+    )
     return samples.with_input(samples.drive.at_samples() - samples.to_time(error))
 
 
@@ -419,7 +459,10 @@ def _pole_slopes(slopes: FloatArray, coefficients: FloatArray) -> FloatArray:
         for place, turn in enumerate((1.0, 1j)):
             c, d = turn * driven[index], turn * free[index]
             found[:, 2 * index + place] = (
-                np.outer(real, c.real) - np.outer(imag, c.imag) + np.outer(free_real, d.real) - np.outer(free_imag, d.imag)
+                np.outer(real, c.real)
+                - np.outer(imag, c.imag)
+                + np.outer(free_real, d.real)
+                - np.outer(free_imag, d.imag)
             )
     return found
 
@@ -428,9 +471,13 @@ def _limited(step: FloatArray, poles: ComplexArray, samples: Samples) -> Complex
     """A step of the poles within the reach of the linearisation: a phase of a radian over the record."""
     change = step[0::2] + 1j * step[1::2]
     limit = 1.0 / samples.span_s + 0.3 * np.abs(poles.real)
-    return np.asarray(change * np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)), initial=1.0))
+    return np.asarray(
+        change * np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)), initial=1.0)
+    )
 
 
 def _is_mode(poles: ComplexArray) -> BoolArray:
     """Whether each motion decays, and oscillates."""
-    return np.asarray((poles.real < 0.0) & (poles.imag > 0.0) & (-poles.real < TUNING.most_damping * np.abs(poles)))
+    return np.asarray(
+        (poles.real < 0.0) & (poles.imag > 0.0) & (-poles.real < TUNING.most_damping * np.abs(poles))
+    )
