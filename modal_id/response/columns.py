@@ -83,7 +83,7 @@ class Samples:
         return np.asarray(np.mean(self.given, axis=0))
 
     def bins(self, values: FloatArray) -> ComplexArray:
-        """Transform of columns, shape (n, c), at the bins; the real and imaginary parts of white noise keep its variance."""
+        """Transform of columns, shape (n, c), at the bins; the parts of white noise keep its variance."""
         found = rfft(values, axis=0)[self.first : self.last]
         return np.asarray(found * np.sqrt(2.0 / values.shape[0]))
 

@@ -303,7 +303,7 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
     names = ", ".join(f"{hz:.4g} Hz" for hz in most)
     note = (
         f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {source}) exceeds that of the outputs at the "
-        f"resonance of {names}: it was corrected for, and determines the intervals. A less noisy sensor of the input narrows them."
+        f"resonance of {names}: it was corrected for, and determines the intervals. A less noisy sensor narrows them."
     )
     return (note,)
 

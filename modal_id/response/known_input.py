@@ -121,18 +121,18 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     """Modes of the response to the samples' input; None where no mode exceeds the noise.
 
     Modes are added one by one at peaks of the residual spectrum, with the noise of outputs and input iterated in
-    between, while the likelihood improves by more than the Bayesian information criterion asks for and the input exceeds
-    its noise there. `input_sd` is the standard deviation of the noise of the input, NaN where unknown: it is then taken
-    from the data, as an upper bound (`_input_noise`).
+    between, while the likelihood improves by more than the Bayesian information criterion asks for and the input
+    exceeds its noise there. `input_sd` is the standard deviation of the noise of the input, NaN where unknown: it
+    is then taken from the data, as an upper bound (`_input_noise`).
 
     Notes
     -----
-    Errors in variables. With noise in input and outputs the residual ``e = y - G u`` has the covariance
-    ``S = diag(n_y^2) + n_u^2 G G^H``, and the regressors correlate with it: least squares on the measured input is biased
-    in damping. The regressors are therefore made from ``u - E[noise of u | e] = u + n_u^2 G^H S^-1 e``, whose error is
-    independent of e, as an instrument (the maximum-likelihood score of Pintelon & Schoukens, *System Identification*, 2nd
-    ed., 2012, section 9.12, doi:10.1002/9781118287422). Weights are ``1 / S_kk``; the covariance of the result contains
-    the correlation of the outputs that the common input causes.
+    Errors in variables. With noise in input and outputs the residual ``e = y - G u`` has the covariance ``S =
+    diag(n_y^2) + n_u^2 G G^H``, and the regressors correlate with it: least squares on the measured input is biased
+    in damping. The regressors are therefore made from ``u - E[noise of u | e] = u + n_u^2 G^H S^-1 e``, whose error
+    is independent of e, as an instrument (the maximum-likelihood score of Pintelon & Schoukens, *System
+    Identification*, 2nd ed., 2012, section 9.12, doi:10.1002/9781118287422). Weights are ``1 / S_kk``; the
+    covariance of the result contains the correlation of the outputs that the common input causes.
     """
     bins, outputs = samples.frequency_hz.size, samples.values.shape[1]
     penalty = 0.5 * (2 + OF_MODE * outputs) * np.log(2 * bins)
