@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +167,12 @@ def _assembled(
     for index in range(found.poles.size):
         mode = _mode(series, prepared, known, found, index, settings)
         (failed if isinstance(mode, FailedMode) else modes).append(mode)  # type: ignore[arg-type]
+    if modes:
+        # The requested mode, or the strongest.
+        wanted = settings.target_frequency_hz
+        rank = [-m.amplitude if wanted is None else abs(m.frequency_hz - wanted) for m in modes]
+        at = int(np.argmin(rank))
+        modes[at] = replace(modes[at], target=True)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     note = f"The response to {known.name} was fitted, from the first sample to the last."
     return Identification(

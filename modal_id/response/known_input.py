@@ -24,9 +24,12 @@ class Tuning:
     negligible: float = 0.01
     #: [1] peaks of the residual spectrum that are tried for the next mode
     peaks: int = 3
-    #: [1] damping ratios that are tried at each peak
-    #: convention: From a steel beam to a strongly damped one; the iteration covers a factor of three.
-    damping_ratios: tuple[float, ...] = (0.002, 0.01, 0.05)
+    #: [1] damping ratio that is tried at each peak, beside smaller and larger ones by `apart`
+    #: convention: From a steel beam to a strongly damped one.
+    damping_ratio: float = 0.01
+    #: [1] factor between the damping ratios that are tried
+    #: physics: The iteration covers a factor of three.
+    apart: float = 5.0
     #: [1] damping ratio above which a fitted motion is no mode
     #: physics: The response of a mode damped more has no resonance to tell its poles from a polynomial.
     most_damping: float = 0.5
@@ -235,7 +238,7 @@ def _with_another(found: ResponseFit, lowest_hz: float) -> _Weighted | None:
         at = frequency_hz[int(np.argmax(np.where(taken, -1.0, power)))]
         taken |= np.abs(frequency_hz - at) < max(0.05 * at, 3.0 / samples.span_s)
         omega = 2.0 * np.pi * at
-        for ratio in TUNING.damping_ratios:
+        for ratio in TUNING.damping_ratio * TUNING.apart ** np.array([-1.0, 0.0, 1.0]):
             start = -ratio * omega + 1j * omega * np.sqrt(1.0 - ratio**2)
             trial = _Weighted(samples, np.append(poles, start), weights)
             if best is None or trial.score < best.score:
