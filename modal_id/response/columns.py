@@ -150,7 +150,7 @@ def amplitudes(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 def spline_gain(frequency_hz: FloatArray, step_s: float) -> FloatArray:
     """Share of a sinusoid that a cubic spline through its samples contains: ``1 - (w h)^4 / 720``, to lowest order.
 
-    Unser (1999), doi:10.1109/79.799930.
+    The cardinal spline of doi:10.1109/79.799930.
     """
     x = frequency_hz * step_s
     return np.asarray(np.sinc(x) ** 4 * 3.0 / (2.0 + np.cos(2.0 * np.pi * x)))

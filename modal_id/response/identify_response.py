@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from modal_id.data import MIN_SAMPLES, Prepared, last_saturated_row, prepare
+from modal_id.data import MIN_SAMPLES, Prepared, prepare, runs
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.columns import Samples
@@ -31,6 +31,11 @@ class Tuning:
     highest: float = 0.6
     #: [1] rows with omitted ones over given rows above which the record is refused
     most_rows: float = 1.5
+    #: [samples] shortest run at an extreme value that is clipped
+    least_run: int = 3
+    #: [1] resolutions between a clipped value and those beside the run
+    #: physics: A parabola that is constant to one resolution over three samples falls by less than five to the next.
+    steps: float = 5.0
     #: [1] share of missing input samples above which the record is refused
     most_missing: float = 0.1
     #: [1] relative sd of the damping ratio above which a mode is not determined
@@ -111,7 +116,7 @@ def _samples(
             f"the input {known.name} does not move (standard deviation {spread:.3g} {known.unit}, noise "
             f"{known.sd:.3g}): identify the outputs alone, as a free decay"
         )
-    if last_saturated_row(values[:, None]) is not None:
+    if _is_clipped(values[seen]):
         return (
             f"the input {known.name} is clipped: many samples share its extreme value, so that the true input is not "
             "known; reduce the amplitude or use a larger range"
@@ -132,6 +137,25 @@ def _samples(
         outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
     highest = int(TUNING.highest * time_s.size / 2)
     return rows, Samples(time_s, outputs, given, full, 0, highest)
+
+
+def _is_clipped(values: FloatArray) -> bool:
+    """Whether the input stays at an extreme value to which it came in larger steps than its resolution.
+
+    A slow or coarsely quantised peak also repeats its extreme value, but leaves it by one or two steps.
+    """
+    steps = np.diff(np.unique(values))
+    for turned in (values, -values):
+        top = float(np.max(turned))
+        for start, end in runs(turned == top):
+            beside = np.append(turned[max(start - 1, 0) : start], turned[end : end + 1])
+            if (
+                end - start >= TUNING.least_run
+                and beside.size
+                and np.all(top - beside > TUNING.steps * np.min(steps))
+            ):
+                return True
+    return False
 
 
 def _with_omitted_rows(time_s: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
