@@ -8,12 +8,19 @@ The truth is a sum of sinusoids, whose response from rest is known in closed for
 
 from __future__ import annotations
 
+import argparse
+import json
+import sys
+import time
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
+
+from modal_id import Identification, identify
+from tracker import DisplacementSeries, KnownInput
 
 FREQUENCIES_HZ, DAMPING_RATIOS = np.array([6.4, 38.7]), np.array([0.009, 0.004])
 #: Relative motion of three markers in each mode for a unit base motion far above the resonance.
@@ -95,3 +102,51 @@ def record(
     noise = lfilter([1.0], [1.0, -correlation], white, axis=0)
     values = base[:, None] + modes @ PARTICIPATION + noise_mm * noise
     return Record(time_s, base + input_noise_mm * generator.standard_normal(time_s.size), values)
+
+
+def measured(kind: str, seed: int, input_noise_mm: float, correlation: float) -> dict[str, object]:
+    """Errors over standard deviations of the modes found in one record, and its computing time."""
+    one = record(kind, seed, input_noise_mm=input_noise_mm, correlation=correlation)
+    series = DisplacementSeries(
+        name=kind,
+        time_s=one.time_s,
+        channels=("y1", "y2", "y3"),
+        values=one.values,
+        sd=np.full(one.values.shape, np.nan),
+        unit="mm",
+        positions_mm=np.full(3, np.nan),
+        known_input=KnownInput("base", one.base, "mm", sd=input_noise_mm),
+    )
+    start = time.process_time()
+    found = identify(series)
+    modes = found.modes if isinstance(found, Identification) else ()
+    scores: dict[str, list[float]] = {}
+    for hz, zeta in zip(FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):
+        for m in (m for m in modes if abs(m.frequency_hz - hz) < 0.1 * hz):
+            z = (m.frequency_hz - hz) / m.frequency_sd_hz, (m.damping_ratio - zeta) / m.damping_ratio_sd
+            scores[f"{hz:g}"] = [float(value) for value in z]
+    return {
+        "kind": kind,
+        "seed": seed,
+        "input_noise_mm": input_noise_mm,
+        "correlation": correlation,
+        "modes": len(modes),
+        "z": scores,
+        "cpu_s": time.process_time() - start,
+    }
+
+
+def main() -> None:
+    """Print a JSON line for each record."""
+    parser = argparse.ArgumentParser(description="Modes from the response to a measured input, simulated.")
+    parser.add_argument("--records", type=int, default=30, help="Records of each kind and noise.")
+    count = parser.parse_args().records
+    for correlation, input_noise_mm in ((0.0, 0.0), (0.8, 0.0), (0.0, NOISE_MM)):
+        for kind in KINDS[:3]:
+            for seed in range(count):
+                line = json.dumps(measured(kind, seed, input_noise_mm, correlation))
+                sys.stdout.write(line + "\n")
+
+
+if __name__ == "__main__":
+    main()

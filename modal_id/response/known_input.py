@@ -41,6 +41,8 @@ class Tuning:
     #: [1] power of the input over that of its noise below which it drives no mode that can be told
     #: statistics: The mean of nine bins of noise exceeds three times its expectation once in 30 000.
     least_power: float = 3.0
+    #: [1] the same as `rounds`, while modes are still being added
+    search_rounds: int = 2
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
     #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
     rounds: int = 4
@@ -156,7 +158,9 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
         found = better
     if not found.poles.size:
         return None
-    return _refined(samples, found.poles[np.argsort(np.abs(found.poles))], input_sd, found.noise)
+    return _refined(
+        samples, found.poles[np.argsort(np.abs(found.poles))], input_sd, found.noise, TUNING.rounds
+    )
 
 
 def _first(samples: Samples, input_sd: float) -> ResponseFit:
@@ -252,10 +256,12 @@ def _is_driven(samples: Samples, noise: Noise) -> BoolArray:
     return np.asarray(power > TUNING.least_power * 2.0 * noise.input)
 
 
-def _refined(samples: Samples, poles: ComplexArray, input_sd: float, noise: Noise) -> ResponseFit:
+def _refined(
+    samples: Samples, poles: ComplexArray, input_sd: float, noise: Noise, rounds: int = TUNING.search_rounds
+) -> ResponseFit:
     """Poles with the noise spectra of outputs and input, all iterated together from a first noise."""
     found = _solved(samples, samples, poles, noise, 1.0 / noise.output)
-    for _ in range(TUNING.rounds):
+    for _ in range(rounds):
         samples = _with_missing_filled(found)
         noise = _noise(found, input_sd)
         response = found.transfer(samples.frequency_hz)
