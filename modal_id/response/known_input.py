@@ -19,9 +19,9 @@ class Tuning:
     search_steps: int = 12
     #: [1] largest number of halvings of such a step
     halvings: int = 8
-    #: [sd] step that is negligible
-    #: statistics: Far below the sd that is printed.
-    negligible: float = 0.01
+    #: [1] gain of log likelihood by a step that ends a search
+    #: statistics: About one sd; the rounds with the noise spectra follow.
+    negligible: float = 0.5
     #: [1] peaks of the residual spectrum that are tried for the next mode
     peaks: int = 3
     #: [1] damping ratio that is tried at each peak, beside smaller and larger ones by `apart`
