@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -136,8 +137,11 @@ def identify(
     positions_mm: ArrayLike | None = None,
     seed: int = 0,
     excitation: Literal["free", "ambient"] = "free",
+    input: ArrayLike | None = None,  # noqa: A002 - the field's word
+    input_unit: str | None = None,
+    input_sd: float = float("nan"),
 ) -> Identification:
-    """Identify natural frequencies and damping ratios from a free decay, or from ambient vibration.
+    """Identify modes from a free decay, from ambient vibration, or from the response to a measured input.
 
     Parameters
     ----------
@@ -163,6 +167,13 @@ def identify(
         Seed of the sampler: the same input and seed give the same result.
     excitation : {"free", "ambient"}
         "ambient" for stationary motion under random forces that are not measured, such as wind; times are even then.
+    input : array, shape (n,), optional
+        What drives the channels of `y`, at the same times: the motion of the base, in the quantity and unit of `y`
+        (absolute or relative motion), or a force. The motion may then be anything.
+    input_unit : str, optional
+        Unit of `input`. Default: that of `y`, a motion of the base; any other means a force.
+    input_sd : float
+        Standard deviation of the noise of `input`; NaN where unknown: an upper limit is then taken from the record.
 
     Returns
     -------
@@ -198,11 +209,16 @@ def identify(
     >>> mode = found.modes[0]
     >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
     (10.0, 1.0)
+
+    A beam whose clamp was filmed while it was shaken, ``base`` and ``y`` in mm:
+
+    >>> found = mc.identify(t, y, input=base)  # doctest: +SKIP
+    >>> found.modes[0].participation, found.response.to_dataframe()  # doctest: +SKIP
     """
     from modal_id import IdentifySettings  # noqa: PLC0415
     from modal_id import identify as identify_series  # noqa: PLC0415
     from modalcam.config import expected_of_theory  # noqa: PLC0415
-    from tracker import DisplacementSeries, Failure  # noqa: PLC0415
+    from tracker import DisplacementSeries, Failure, KnownInput  # noqa: PLC0415
 
     if not isinstance(series, DisplacementSeries):
         series = _series(series, y, unit, positions_mm)
@@ -211,6 +227,11 @@ def identify(
             "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
         )
         raise ValueError(msg)
+    if input is not None:
+        given_unit = series.unit if input_unit is None else input_unit
+        values = np.asarray(input, dtype=np.float64)
+        known = KnownInput("input", values, given_unit, is_force=given_unit != series.unit, sd=input_sd)
+        series = replace(series, known_input=known)
     settings = IdentifySettings(
         **expected_of_theory(beam, series.positions_mm),
         mode=mode,
