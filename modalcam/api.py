@@ -173,7 +173,7 @@ def identify(
     input_unit : str, optional
         Unit of `input`. Default: that of `y`, a motion of the base; any other means a force.
     input_sd : float
-        Standard deviation of the noise of `input`; NaN where unknown: an upper limit is then taken from the record.
+        Standard deviation of the noise of `input`; NaN where unknown: it is then taken from the floor of its spectrum.
 
     Returns
     -------

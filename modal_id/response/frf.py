@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
 from modal_id.response.columns import FIXED, Samples, amplitudes, spline_gain, transfer
-from modal_id.response.known_input import ResponseFit
+from modal_id.response.solution import ResponseFit
 from tracker import ComplexArray, FloatArray
 
 

@@ -9,12 +9,17 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare, runs
-from modal_id.posterior import with_rate_error
+from modal_id.flags import ModeFlag
+from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
+from modal_id.response.candidates import candidates
 from modal_id.response.columns import Samples
 from modal_id.response.frf import TUNING as FRF
 from modal_id.response.frf import coherence, local_polynomial, model_bands
-from modal_id.response.known_input import ResponseFit, fit_response
+from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.noise import InputNoise
+from modal_id.response.solution import ResponseFit, left_at_mode
 from modal_id.response_values import FrequencyResponse
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
@@ -79,8 +84,7 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
     if isinstance(samples, str):
         return Failure(samples, series.name)
     rows, data = samples
-    lowest_hz = 0.4 * min(settings.expected_frequencies_hz, default=0.0)
-    found = fit_response(data, settings.max_modes, lowest_hz, known.sd)
+    found = fit_response(data, settings.max_modes, _lowest_hz(settings), known.sd)
     if found is None:
         reason = (
             f"no mode exceeds the noise in the response to {known.name}; excite the structure over the frequencies of "
@@ -88,6 +92,11 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
         )
         return Failure(reason, series.name)
     return with_rate_error(_assembled(series, prepared, rows, known, found, settings))
+
+
+def _lowest_hz(settings: IdentifySettings) -> float:
+    """Well below the lowest mode in theory, 0 where none is given."""
+    return 0.4 * min(settings.expected_frequencies_hz, default=0.0)
 
 
 def _samples(
@@ -186,30 +195,27 @@ def _assembled(
     residual_sd[prepared.channels] = np.sqrt(
         np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
     )
-    modes: list[IdentifiedMode] = []
-    failed: list[FailedMode] = []
-    for index in range(found.poles.size):
-        mode = _mode(series, prepared, known, found, index, settings)
-        (failed if isinstance(mode, FailedMode) else modes).append(mode)  # type: ignore[arg-type]
-    if modes:
-        # The requested mode, or the strongest.
-        wanted = settings.target_frequency_hz
-        rank = [-m.amplitude if wanted is None else abs(m.frequency_hz - wanted) for m in modes]
-        at = int(np.argmin(rank))
-        modes[at] = replace(modes[at], target=True)
+    listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
+    modes, failed = _numbered(listed, samples, settings)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     note = f"The response to {known.name} was fitted, from the first sample to the last."
     return Identification(
         series=series,
         onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
-        modes=tuple(modes),
-        failed=tuple(failed),
+        modes=modes,
+        failed=failed,
         fitted=fitted,
         baseline=baseline,
         used=used == 1.0,
         residual_sd=residual_sd,
         channels_used=np.isin(np.arange(k), prepared.channels),
-        notes=(*series.notes, *prepared.notes, note, *_notes(known, found)),
+        notes=(
+            *series.notes,
+            *prepared.notes,
+            note,
+            *_notes(known, found),
+            *_unexplained(found, _lowest_hz(settings)),
+        ),
         segments=(Segment("driven", start_s, end_s, note),),
         response=_response(series, prepared, known, found, settings),
     )
@@ -224,10 +230,9 @@ def _mode(
     settings: IdentifySettings,
 ) -> IdentifiedMode | FailedMode:
     pole = complex(found.poles[index])
-    own = found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
+    factor, left = left_at_mode(found, index)
+    own = factor * found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
     hz, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    if any(abs(hz - out) < 0.01 * out for out in settings.reject_hz):
-        return FailedMode("rejected by reject_hz", frequency_hz=hz)
     slopes = np.array(
         [
             [pole.real / abs(pole) / (2.0 * np.pi), pole.imag / abs(pole) / (2.0 * np.pi)],
@@ -252,16 +257,57 @@ def _mode(
     shape[prepared.channels] = driven * largest
     shape_sd[prepared.channels] = errors / np.maximum(np.abs(values), 1e-300) * np.abs(driven * largest)
     all_values, all_errors = np.full(k, np.nan), np.full(k, np.nan)
-    all_values[prepared.channels], all_errors[prepared.channels] = values, errors
+    all_values[prepared.channels], all_errors[prepared.channels] = values, np.sqrt(factor) * errors
+    flags = (ModeFlag.RESIDUAL_AT_MODE,) if left > MUCH_LEFT else ()
     return IdentifiedMode(
         shape=shape,
         shape_sd=shape_sd,
         amplitude=float(np.nanmax(np.abs(shape))),
         amplitude_unit=series.unit,
-        posterior=_posterior(pole, own, (float(sd[0]), float(sd[1])), index, settings),
+        posterior=_posterior(pole, own, (float(sd[0]), float(sd[1])), factor, index, settings),
+        flags=tuple(flag.name for flag in flags),
+        notes=tuple(flag.value for flag in flags),
+        severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
         participation=all_values,
         participation_sd=all_errors,
     )
+
+
+def _numbered(
+    listed: list[IdentifiedMode | FailedMode], samples: Samples, settings: IdentifySettings
+) -> tuple[tuple[IdentifiedMode, ...], tuple[FailedMode, ...]]:
+    """Modes with their numbers in theory, the requested or strongest one marked, and those that are not listed."""
+    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
+    failed = [one for one in listed if isinstance(one, FailedMode)]
+    if not modes:
+        return (), tuple(failed)
+    frequencies = np.array([mode.frequency_hz for mode in modes])
+    shapes = np.stack([mode.shape for mode in modes])
+    strength = np.array([mode.amplitude for mode in modes])
+    rejected = rejected_modes(frequencies, settings)
+    numbers, macs = (found := number_modes(frequencies, shapes, strength, settings)).numbers, found.macs
+    choice = choose_target_of(
+        rejected, frequencies, shapes, strength, numbers, settings, 1.0 / samples.step_s
+    )
+    if choice.index is None:
+        failed.append(
+            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+        )
+    kept = []
+    for index, mode in enumerate(modes):
+        if rejected[index]:
+            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=mode.frequency_hz))
+            continue
+        kept.append(replace(mode, number=numbers[index], target=index == choice.index, mac=macs[index]))
+        if words := shape_disagreement(mode.shape, mode.shape_sd, numbers[index], settings):
+            flag = ModeFlag.SHAPE_DISAGREES
+            kept[-1] = replace(
+                kept[-1],
+                flags=(*mode.flags, flag.name),
+                notes=(*mode.notes, flag.value, words),
+                severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
+            )
+    return tuple(kept), tuple(failed)
 
 
 def participation(
@@ -289,9 +335,14 @@ def participation(
 
 
 def _posterior(
-    pole: complex, covariance: FloatArray, sd: tuple[float, float], index: int, settings: IdentifySettings
+    pole: complex,
+    covariance: FloatArray,
+    sd: tuple[float, float],
+    factor: float,
+    index: int,
+    settings: IdentifySettings,
 ) -> Posterior:
-    """Draws of frequency and damping ratio for a normal pole."""
+    """Draws of frequency and damping ratio for a normal pole; there is no chain, and its diagnostics are NaN."""
     seed = (settings.seed, *settings.seed_key, index)
     generator = np.random.default_rng(seed)
     scores = ndtri((np.arange(TUNING.draws) + 0.5) / TUNING.draws)
@@ -299,15 +350,15 @@ def _posterior(
     values, vectors = np.linalg.eigh(covariance)
     moved = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     poles = (pole + moved[:, 0] + 1j * moved[:, 1]).reshape(_ENSEMBLES, -1)
-    ess = float(TUNING.draws)
+    nan = float("nan")
     return Posterior(
         frequency_hz=frequency_hz(poles),
         damping_ratio=damping_ratio(poles),
-        r_hat=(1.0, 1.0),
-        ess=(ess, ess),
-        autocorrelation_steps=1.0,
-        acceptance=1.0,
-        noise_factor=1.0,
+        r_hat=(nan, nan),
+        ess=(nan, nan),
+        autocorrelation_steps=nan,
+        acceptance=nan,
+        noise_factor=float(np.sqrt(factor)),
         systematic_frequency_hz=0.0,
         systematic_damping_ratio=0.0,
         laplace_sd=sd,
@@ -319,11 +370,14 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
     if found.noise.input == 0.0:
         return ()
     sd = float(np.sqrt(found.noise.input))
-    source = (
-        "as stated"
-        if np.isfinite(known.sd)
-        else "an upper limit from the record; give its sd where it is known"
-    )
+    given = InputNoise.of(found.samples, known.sd)
+    if not given.known:
+        unknown = (
+            f"The noise of the input {known.name} is unknown: its spectrum has no flat floor. What the fit leaves at "
+            f"the resonances gives {sd:.2g} {known.unit}, at most {np.sqrt(given.variance):.2g}. Give it: record the "
+            "input at rest for a second, and state its standard deviation."
+        )
+        return (unknown,)
     at = frequency_hz(found.poles)
     ratio = found.noise.input * np.abs(found.transfer(at)) ** 2
     own = np.column_stack([np.interp(at, found.samples.frequency_hz, o) for o in found.noise.output.T])
@@ -332,8 +386,21 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
         return ()
     names = ", ".join(f"{hz:.4g} Hz" for hz in most)
     note = (
-        f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {source}) exceeds that of the outputs at the "
+        f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {given.text}) exceeds that of the outputs at the "
         f"resonance of {names}: it was corrected for, and determines the intervals. A less noisy sensor narrows them."
+    )
+    return (note,)
+
+
+def _unexplained(found: ResponseFit, lowest_hz: float) -> tuple[str, ...]:
+    """A note where what the fit leaves looks like the response of a mode that is not listed."""
+    places = candidates(found, lowest_hz, criterion(found.samples))
+    if not places:
+        return ()
+    names = ", ".join(f"{hz:.4g} Hz" for hz in sorted(frequency_hz(np.array(places))))
+    note = (
+        f"What the fit leaves near {names} follows the input as a mode would, but the record does not determine one: a "
+        "mode is missing, or the motion is not linear. Allow more modes (max_modes), or excite it longer."
     )
     return (note,)
 
