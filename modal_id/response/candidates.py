@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.solution import ResponseFit
 from tracker import BoolArray, ComplexArray
 
@@ -16,7 +17,7 @@ class Tuning:
     """Peaks, and the poles that are tried about them."""
 
     #: [1] peaks of the residual spectrum about which a pole is sought
-    peaks: int = 5
+    peaks: int = 8
     #: [1] smallest damping ratio that is tried
     #: convention: That of a tuning fork.
     least_damping: float = 0.001
@@ -26,6 +27,9 @@ class Tuning:
     #: [1] number of damping ratios that are tried
     #: physics: The iteration covers the factor of three between neighbours.
     ratios: int = 5
+    #: [1] damping ratio up to which a mode is slightly damped
+    #: physics: The window of a stronger one holds other modes of a beam.
+    slight: float = 0.01
     #: [1] frequencies that are tried about a peak for each damping ratio
     frequencies: int = 7
     #: [1] their reach on both sides, in half-widths of the mode, a bin at least
@@ -35,8 +39,8 @@ class Tuning:
     #: physics: 0.8 of the power of a resonance lies within three.
     half_widths: float = 5.0
     #: [bins] least half width of a window
-    #: statistics: 25 bins for 6 unknowns.
-    least_window: int = 12
+    #: statistics: That over which the noise is averaged: it falls by the factor that the gain contains.
+    least_window: int = NOISE.half_window
     #: [1] relative distance of two peaks
     apart: float = 0.05
     #: [bins] half width of the average of the input's spectrum
@@ -50,9 +54,10 @@ TUNING = Tuning()
 
 
 def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[complex]:
-    """Poles that explain peaks of the residual, the best first; each gains at least `least_gain` of log likelihood.
+    """Poles that explain peaks of the residual, each with a gain of log likelihood above `least_gain`.
 
-    Peaks below `lowest_hz`, or where the input does not exceed its noise, do not count.
+    One slightly and one strongly damped pole about each peak. Peaks below `lowest_hz`, or where the input does not
+    exceed its noise, do not count.
 
     Notes
     -----
@@ -66,7 +71,8 @@ def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[
     frequency_hz, taken = samples.frequency_hz, np.zeros(size, dtype=bool)
     taken[frequency_hz < max(lowest_hz, 2.0 / samples.span_s)] = True
     taken |= ~is_driven(found)
-    weighted, tried = residual * np.sqrt(found.weights), []
+    weighted = residual * np.sqrt(found.weights)
+    tried: list[tuple[float, complex]] = []
     ratios = np.geomspace(TUNING.least_damping, TUNING.most_damping, TUNING.ratios)
     for _ in range(TUNING.peaks):
         if taken.all():
@@ -74,8 +80,11 @@ def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[
         at = int(np.argmax(np.where(taken, -1.0, power)))
         hz = frequency_hz[at]
         taken |= np.abs(frequency_hz - hz) < max(TUNING.apart * hz, 3.0 / samples.span_s)
-        tried.append(max((_tried(found, weighted, at, ratio) for ratio in ratios), key=_gain))
-    return [pole for gain, pole in sorted(tried, key=_gain, reverse=True) if gain > least_gain]
+        tried.extend(
+            max((_tried(found, weighted, at, ratio) for ratio in own), key=_gain)
+            for own in (ratios[ratios <= TUNING.slight], ratios[ratios > TUNING.slight])
+        )
+    return [pole for gain, pole in tried if gain > least_gain]
 
 
 def _gain(one: tuple[float, complex]) -> float:
@@ -84,13 +93,14 @@ def _gain(one: tuple[float, complex]) -> float:
 
 def is_driven(found: ResponseFit) -> BoolArray:
     """Bins near which the input exceeds its noise: a response to noise alone has no instrument; shape (b,)."""
-    power = uniform_filter1d(np.abs(found.samples.input_bins) ** 2, 2 * TUNING.near + 1)
+    power = uniform_filter1d(np.abs(found.samples.content_bins) ** 2, 2 * TUNING.near + 1)
     return np.asarray(power > TUNING.least_power * 2.0 * found.noise.input)
 
 
 def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) -> tuple[float, complex]:
     """Gain of log likelihood and the best pole of a damping ratio about the bin `at`."""
-    frequency_hz = found.samples.frequency_hz
+    samples = found.samples
+    frequency_hz = samples.frequency_hz
     step_hz = float(frequency_hz[1] - frequency_hz[0])
     half_hz = ratio * float(frequency_hz[at])
     reach = max(TUNING.least_window, int(np.ceil(TUNING.half_widths * half_hz / step_hz)))
@@ -101,15 +111,15 @@ def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) ->
     x = np.linspace(-1.0, 1.0, size)
     basis = np.linalg.qr((np.stack([driving, driving * x, np.ones(size), x], axis=1)) * root[:, None])[0]
     rest = weighted[window] - basis @ (np.conj(basis.T) @ weighted[window])
-    left = np.sum(np.abs(rest) ** 2, axis=0)
+    left = np.maximum(np.sum(np.abs(rest) ** 2, axis=0), 1e-300)
     best = (0.0, 0.0j)
     for offset in np.linspace(-TUNING.reach, TUNING.reach, TUNING.frequencies) * max(half_hz, step_hz):
         omega = 2.0 * np.pi * (float(frequency_hz[at]) + offset)
         pole = complex(-ratio * omega, omega * np.sqrt(1.0 - ratio**2))
-        columns = np.stack([driving, np.ones(size)], axis=1) * (root / (s - pole))[:, None]
+        columns = np.stack([np.ones(size), driving], axis=1) * (root / (s - pole))[:, None]
         own = np.linalg.qr(columns - basis @ (np.conj(basis.T) @ columns))[0]
-        gained = np.sum(np.abs(np.conj(own.T) @ rest) ** 2, axis=0)
-        gain = float(-size * np.sum(np.log1p(-np.minimum(gained / np.maximum(left, 1e-300), 1.0 - 1e-12))))
-        if omega * found.samples.span_s > 4.0 * np.pi and gain > best[0]:
+        gained = np.sum(np.abs(np.conj(own.T) @ rest) ** 2, axis=0) / left
+        gain = -size * float(np.sum(np.log1p(-np.minimum(gained, 1.0 - 1e-12))))
+        if omega * samples.span_s > 4.0 * np.pi and gain > best[0]:
             best = (gain, pole)
     return best

@@ -102,6 +102,22 @@ class Samples:
         """Transform of the input at the bins; shape (b,)."""
         return self.bins(self.drive.at_samples()[:, None])[:, 0]
 
+    @cached_property
+    def content_bins(self) -> ComplexArray:
+        """Transform of the input less what its ends leak to all frequencies; shape (b,).
+
+        A cubic makes value, slope and curvature the same at both ends.
+        """
+        x = (self.time_s - self.time_s[0]) / self.span_s
+        values, curve, span_s = self.drive.at_samples(), self.drive.curvature(), self.span_s
+        slope = np.append(self.drive.coefficients[2], 0.0)
+        step = self.drive.steps_s[-1]
+        slope[-1] = np.polyval(np.array([3.0, 2.0, 1.0]) * self.drive.coefficients[:3, -1], step)
+        jumps = values[-1] - values[0], span_s * (slope[-1] - slope[0]), span_s**2 * (curve[-1] - curve[0])
+        cubic = np.array([jumps[2] / 6.0, 0.5 * (jumps[1] - 0.5 * jumps[2]), 0.0, 0.0])
+        cubic[2] = jumps[0] - cubic[0] - cubic[1]
+        return self.bins((values - np.polyval(cubic, x))[:, None])[:, 0]
+
     def to_time(self, bins: ComplexArray) -> FloatArray:
         """The series, shape (n,), whose transform is `bins` in the band and 0 elsewhere."""
         whole = np.zeros(self.time_s.size // 2 + 1, dtype=complex)
@@ -114,14 +130,16 @@ class Samples:
 
     def in_time(self, poles: ComplexArray) -> FloatArray:
         """Columns of the fit, shape (n, FIXED + OF_MODE m): input, its second derivative, drift, four of each mode."""
-        functions = mode_functions(self.time_s - self.time_s[0], poles)
         unit = 2.0 * (self.time_s - self.time_s[0]) / self.span_s - 1.0
         values = self.drive.at_samples()
         found = [values[:, None], self.drive.curvature()[:, None], legvander(unit, TUNING.drift_degree)]
-        for index, pole in enumerate(poles):
-            driven, free = self.drive.response(pole), functions[:, index]
-            found.append(np.column_stack([driven.real, driven.imag, free.real, free.imag]))
-        return np.column_stack(found)
+        return np.column_stack([*found, *(self.of_mode(pole) for pole in poles)])
+
+    def of_mode(self, pole: complex) -> FloatArray:
+        """The four columns of a mode: parts of the response to the input, and of the free decay; shape (n, OF_MODE)."""
+        free = mode_functions(self.time_s - self.time_s[0], np.array([pole]))[:, 0]
+        driven = self.drive.response(pole)
+        return np.column_stack([driven.real, driven.imag, free.real, free.imag])
 
     def columns(self, poles: ComplexArray) -> FloatArray:
         """The same as `rows`."""

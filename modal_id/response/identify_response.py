@@ -371,6 +371,12 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
         return ()
     sd = float(np.sqrt(found.noise.input))
     given = InputNoise.of(found.samples, known.sd)
+    at = frequency_hz(found.poles)
+    ratio = (found.noise.input if given.known else given.variance) * np.abs(found.transfer(at)) ** 2
+    own = np.column_stack([np.interp(at, found.samples.frequency_hz, o) for o in found.noise.output.T])
+    most = at[np.any(ratio > own, axis=1)]
+    if not most.size:
+        return ()
     if not given.known:
         unknown = (
             f"The noise of the input {known.name} is unknown: its spectrum has no flat floor. What the fit leaves at "
@@ -378,12 +384,6 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
             "input at rest for a second, and state its standard deviation."
         )
         return (unknown,)
-    at = frequency_hz(found.poles)
-    ratio = found.noise.input * np.abs(found.transfer(at)) ** 2
-    own = np.column_stack([np.interp(at, found.samples.frequency_hz, o) for o in found.noise.output.T])
-    most = at[np.any(ratio > own, axis=1)]
-    if not most.size:
-        return ()
     names = ", ".join(f"{hz:.4g} Hz" for hz in most)
     note = (
         f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {given.text}) exceeds that of the outputs at the "

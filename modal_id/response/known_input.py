@@ -24,7 +24,7 @@ class Tuning:
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5
-    #: [1] places at which a further mode is tried in vain before the search ends
+    #: [1] places at which a further mode is tried before the search ends
     places: int = 3
     #: [1] gain of a local fit, over what the criterion asks for, below which a mode is not tried
     #: physics: A local fit takes part of a wide response for background.
@@ -32,6 +32,14 @@ class Tuning:
     #: [1] damping ratio above which a fitted motion is no mode
     #: physics: The response of a mode damped more has no resonance to tell its poles from a polynomial.
     most_damping: float = 0.5
+    #: [1] factor by which the damping ratio of a new mode may grow in the iteration
+    #: physics: Twice that between the damping ratios that are tried; beyond, the pole follows other modes.
+    most_growth: float = 6.0
+    #: [1] shift of its frequency, in half-widths
+    most_shift: float = 3.0
+    #: [1] largest response to the noise of the input, over the noise of the outputs (variances), that is neglected
+    #: statistics: The bias of a pole is then a thirtieth of its standard deviation at most.
+    negligible_noise: float = 1e-3
     #: [1] the same as `rounds`, while modes are still being added
     search_rounds: int = 2
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
@@ -72,8 +80,10 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
         found = better
         if found.poles.size >= max_modes:
             break
-        places = candidates(found, lowest_hz, TUNING.promising * penalty)[: TUNING.places]
-        tried = (_with_mode(found, pole, known, penalty) for pole in places)
+        before = _Weighted(found.likely, found.poles, found.weights)
+        places = candidates(found, lowest_hz, TUNING.promising * penalty)
+        places = sorted(places, key=before.gain, reverse=True)[: TUNING.places]
+        tried = (_with_mode(found, before, pole, known, penalty) for pole in places)
         better = next((one for one in tried if one is not None), None)
     if not found.poles.size:
         return None
@@ -86,11 +96,12 @@ def criterion(samples: Samples) -> float:
     return float(0.5 * (2 + OF_MODE * samples.values.shape[1]) * np.log(2 * samples.frequency_hz.size))
 
 
-def _with_mode(found: ResponseFit, pole: complex, known: InputNoise, penalty: float) -> ResponseFit | None:
+def _with_mode(
+    found: ResponseFit, before: _Weighted, pole: complex, known: InputNoise, penalty: float
+) -> ResponseFit | None:
     """The fit with one more mode, or with others that explain more; None where the criterion asks for more."""
-    before = _Weighted(found.likely, found.poles, found.weights)
     trial = _Weighted(found.likely, np.append(found.poles, pole), found.weights).converged()
-    if before.score - trial.score < penalty:
+    if before.score - trial.score < penalty or _has_left(pole, trial.poles[-1]):
         return None
     better, kept = found, np.zeros(1, dtype=bool)
     poles = trial.poles
@@ -126,6 +137,16 @@ class _Weighted:
         self.rss = np.maximum(np.sum(self.residual**2, axis=0), floor)
         #: Negative log likelihood.
         self.score = float(0.5 * values.shape[0] * np.sum(np.log(self.rss)))
+
+    def gain(self, pole: complex) -> float:
+        """Log likelihood gained by a mode with this pole."""
+        columns = scaled(self.samples.rows(self.samples.of_mode(pole)))[0]
+        left = self.rss.copy()
+        for out, (basis, _) in enumerate(self._factors):
+            own = columns * self._root[:, [out]]
+            own = np.linalg.qr(own - basis @ (basis.T @ own))[0]
+            left[out] -= np.sum((own.T @ self.residual[:, out]) ** 2)
+        return float(0.5 * len(columns) * np.sum(np.log(self.rss / np.maximum(left, 1e-12 * self.rss))))
 
     def stepped(self) -> _Weighted | None:
         """After one step of the poles that lowers the score; None where there is none."""
@@ -196,12 +217,21 @@ def _with_missing_filled(found: ResponseFit) -> Samples:
 
 def _with_likely_input(samples: Samples, found: ResponseFit, noise: Noise, response: ComplexArray) -> Samples:
     """The samples with the most likely input, given outputs and measured input."""
-    if noise.input == 0.0:
+    if np.all(noise.input * np.abs(response) ** 2 <= TUNING.negligible_noise * noise.output):
         return samples
     error = -np.sum(np.conj(response) / noise.output * found.residual_bins, axis=1) / (
         1.0 / noise.input + np.sum(np.abs(response) ** 2 / noise.output, axis=1)
     )
     return samples.with_input(samples.drive.at_samples() - samples.to_time(error))
+
+
+def _has_left(start: complex, pole: complex) -> bool:
+    """Whether the iteration took a mode away from the resonance at which it began."""
+    wide = max(-start.real, -pole.real)
+    return (
+        -pole.real > TUNING.most_growth * -start.real
+        or abs(pole.imag - start.imag) > TUNING.most_shift * wide
+    )
 
 
 def _limited(step: FloatArray, poles: ComplexArray, samples: Samples) -> ComplexArray:

@@ -40,6 +40,9 @@ class Tuning:
     #: [1] power that the input must have somewhere over its floor for the floor to be noise and not the input
     #: physics: An input below it would have no more than three times the amplitude of its noise.
     least_contrast: float = 10.0
+    #: [1] least power in the spectrum of the input over the largest
+    #: physics: Rounding, summed over a window.
+    rounding: float = 1e-14
     #: [1] amplitudes of the noise of the input whose probability is compared with what the fit leaves
     #: convention: A step of 2 % of the largest one.
     amplitudes: int = 51
@@ -103,10 +106,10 @@ class InputNoise:
         size = min(2 * TUNING.half_window + 1, used.size)
         inside = slice(size // 2, used.size - size // 2)
         level = uniform_filter1d(used, size)[inside]
-        least = float(np.min(level))
-        floor = level < TUNING.floor * least
-        own = used[inside][floor]
-        value = float(np.mean(own))
+        # The running mean is rounded relative to its largest values.
+        level = np.maximum(level, TUNING.rounding * np.max(level) + 1e-300)
+        floor = level < TUNING.floor * np.min(level)
+        own, value = used[inside][floor], float(np.mean(level[floor]))
         half = own.size // 2
         scatter = TUNING.slope_sd * np.sqrt(2.0 / max(1.0, TUNING.independent * half))
         flat = abs(float(np.mean(own[:half])) - float(np.mean(own[half:]))) < scatter * value
