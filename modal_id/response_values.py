@@ -8,10 +8,42 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal_id.mode_values import Table
-from tracker import ComplexArray, FloatArray
+from tracker import Column, ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_UNIT = "unit"
+# Each an array of shape (f, k) of a `FrequencyResponse`; the rows of a table are its channels one after the other.
+RESPONSE_COLUMNS = (
+    Column(
+        "channel", "", "name of the output", lambda r: np.tile(np.array(r.channels), (r.frequency_hz.size, 1))
+    ),
+    Column(
+        "frequency_hz", "Hz", "frequency", lambda r: np.tile(r.frequency_hz[:, None], (1, len(r.channels)))
+    ),
+    Column("real", _UNIT, "real part of the response of the fitted modes", lambda r: r.model.real),
+    Column("imaginary", _UNIT, "its imaginary part", lambda r: r.model.imag),
+    Column("magnitude", _UNIT, "its modulus", lambda r: np.abs(r.model)),
+    Column("magnitude_q05", _UNIT, "5 % quantile of the modulus, from the uncertainty of all parameters"),
+    Column("magnitude_q95", _UNIT, "95 % quantile"),
+    Column(
+        "local_real",
+        _UNIT,
+        "real part of the local-polynomial estimate, without modes",
+        lambda r: r.local.real,
+    ),
+    Column("local_imaginary", _UNIT, "its imaginary part", lambda r: r.local.imag),
+    Column("local_sd", _UNIT, "standard deviation of each part, from the scatter about the polynomial"),
+    Column("coherence", "1", "squared coherence of the output with the input in windows of 13 bins"),
+    Column(
+        "unit",
+        "",
+        "unit of the response: 1, or that of the output over that of the force",
+        lambda r: np.full(r.model.shape, r.unit),
+    ),
+)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -54,21 +86,7 @@ class FrequencyResponse(Table):
         """One row for each channel and frequency."""
         import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
 
-        f, k = self.model.shape
-        columns = {
-            "channel": np.repeat(np.array(self.channels), f),
-            "frequency_hz": np.tile(self.frequency_hz, k),
-            "real": self.model.real.T.ravel(),
-            "imaginary": self.model.imag.T.ravel(),
-            "magnitude": np.abs(self.model).T.ravel(),
-            "magnitude_q05": self.magnitude_q05.T.ravel(),
-            "magnitude_q95": self.magnitude_q95.T.ravel(),
-            "local_real": self.local.real.T.ravel(),
-            "local_imaginary": self.local.imag.T.ravel(),
-            "local_sd": self.local_sd.T.ravel(),
-            "coherence": self.coherence.T.ravel(),
-        }
-        return pd.DataFrame(columns)
+        return pd.DataFrame({one.name: np.asarray(one.of(self)).T.ravel() for one in RESPONSE_COLUMNS})
 
     def __repr__(self) -> str:
         low, high = self.frequency_hz[[0, -1]]

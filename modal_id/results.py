@@ -324,6 +324,11 @@ class Identification(Table):
     response: FrequencyResponse | None = None
 
     @property
+    def has_decay(self) -> bool:
+        """Whether free decays were fitted: not under ambient excitation, nor with a measured input."""
+        return self.ambient is None and self.response is None
+
+    @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:
         """Modes, and driven motions where there are no modes: the rows of ``modes.csv``."""
         return (*self.modes, *self.driven)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from modalcam.common import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
-    from modal_id import Identification
+    from modal_id import FrequencyResponse, Identification
     from modalcam.pipeline import Progress as RunProgress
     from modalcam.pipeline import RunResult
     from sim.beam import BeamModes
@@ -124,6 +124,61 @@ def displacement(
     return displacement_series(tracks, direction=direction, unit=unit)
 
 
+def frf(
+    series: DisplacementSeries | ArrayLike,
+    y: ArrayLike | None = None,
+    *,
+    input: ArrayLike,  # noqa: A002 - the field's word
+    **options: Any,
+) -> FrequencyResponse:
+    """Frequency response of the channels to a measured input, from the identified modes and without them.
+
+    Parameters
+    ----------
+    series, y, input
+        As in `identify`.
+    **options
+        The other arguments of `identify`: `input_unit`, `input_sd`, `unit`, `onset_s`, `end_s`, `seed` and so on.
+
+    Returns
+    -------
+    FrequencyResponse
+        Transmissibility (input in the unit of `y`) or receptance (force) of the fitted modes with a 90 % band of its
+        modulus, the local-polynomial estimate with its standard deviation, and the coherence; `to_dataframe` has one
+        row per channel and frequency. Where `input` is missing (NaN) it is taken from a spline through its neighbours.
+
+    Raises
+    ------
+    IdentificationError
+        As `identify`; without a mode there is no response.
+    ValueError
+        As `identify`.
+
+    Notes
+    -----
+    The local-polynomial estimate is biased towards zero by noise of the input, and where a resonance is narrower than
+    13 bins; see `modal_id.response.local_polynomial`. The response of the modes is not.
+
+    Examples
+    --------
+    A mode of 5 Hz and 1 % on a base that sweeps from 1 to 13 Hz:
+
+    >>> import numpy as np
+    >>> import modalcam as mc
+    >>> from scipy.signal import lsim
+    >>> t, omega = np.arange(4000) / 200.0, 2 * np.pi * 5
+    >>> base = np.sin(2 * np.pi * (1 + 0.3 * t) * t)
+    >>> y = lsim(([0.02 * omega, omega**2], [1, 0.02 * omega, omega**2]), base, t)[1]
+    >>> y += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    >>> response = mc.frf(t, y, input=base)
+    >>> peak = np.argmax(np.abs(response.model[:, 0]))
+    >>> round(float(response.frequency_hz[peak])), round(float(np.abs(response.model[peak, 0])))
+    (5, 50)
+    """
+    # Never None where an input is given.
+    return cast("FrequencyResponse", identify(series, y, input=input, **options).response)
+
+
 def identify(
     series: DisplacementSeries | ArrayLike,
     y: ArrayLike | None = None,
@@ -213,7 +268,7 @@ def identify(
     A beam whose clamp was filmed while it was shaken, ``base`` and ``y`` in mm:
 
     >>> found = mc.identify(t, y, input=base)  # doctest: +SKIP
-    >>> found.modes[0].participation, found.response.to_dataframe()  # doctest: +SKIP
+    >>> found.modes[0].participation, found.modes[0].participation_sd  # doctest: +SKIP
     """
     from modal_id import IdentifySettings  # noqa: PLC0415
     from modal_id import identify as identify_series  # noqa: PLC0415

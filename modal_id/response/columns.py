@@ -104,19 +104,13 @@ class Samples:
 
     @cached_property
     def content_bins(self) -> ComplexArray:
-        """Transform of the input less what its ends leak to all frequencies; shape (b,).
+        """Transform of the input less what the jump between its ends leaks to all frequencies; shape (b,).
 
-        A cubic makes value, slope and curvature the same at both ends.
+        A line makes the value the same at both ends; slopes are too noisy to be made the same.
         """
-        x = (self.time_s - self.time_s[0]) / self.span_s
-        values, curve, span_s = self.drive.at_samples(), self.drive.curvature(), self.span_s
-        slope = np.append(self.drive.coefficients[2], 0.0)
-        step = self.drive.steps_s[-1]
-        slope[-1] = np.polyval(np.array([3.0, 2.0, 1.0]) * self.drive.coefficients[:3, -1], step)
-        jumps = values[-1] - values[0], span_s * (slope[-1] - slope[0]), span_s**2 * (curve[-1] - curve[0])
-        cubic = np.array([jumps[2] / 6.0, 0.5 * (jumps[1] - 0.5 * jumps[2]), 0.0, 0.0])
-        cubic[2] = jumps[0] - cubic[0] - cubic[1]
-        return self.bins((values - np.polyval(cubic, x))[:, None])[:, 0]
+        values = self.drive.at_samples()
+        line = (values[-1] - values[0]) * (self.time_s - self.time_s[0]) / self.span_s
+        return self.bins((values - line)[:, None])[:, 0]
 
     def to_time(self, bins: ComplexArray) -> FloatArray:
         """The series, shape (n,), whose transform is `bins` in the band and 0 elsewhere."""

@@ -24,7 +24,7 @@ class Tuning:
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5
-    #: [1] places at which a further mode is tried before the search ends
+    #: [1] places at which a mode beside others is tried before the search ends
     places: int = 3
     #: [1] gain of a local fit, over what the criterion asks for, below which a mode is not tried
     #: physics: A local fit takes part of a wide response for background.
@@ -82,7 +82,9 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
             break
         before = _Weighted(found.likely, found.poles, found.weights)
         places = candidates(found, lowest_hz, TUNING.promising * penalty)
-        places = sorted(places, key=before.gain, reverse=True)[: TUNING.places]
+        places.sort(key=before.gain, reverse=True)
+        if found.poles.size:
+            places = places[: TUNING.places]
         tried = (_with_mode(found, before, pole, known, penalty) for pole in places)
         better = next((one for one in tried if one is not None), None)
     if not found.poles.size:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.known_input import (
+from benchmarks.known_input_scenes import (
     DAMPING_RATIOS,
     FREQUENCIES_HZ,
     NOISE_MM,
