@@ -88,7 +88,9 @@ class IdentifyOptions(Options):
     )
 
     output_only: bool = Field(
-        default=False, description="Ignore a measured input: identify the outputs as if it were unknown."
+        default=False,
+        description="Ignore a measured input: identify the outputs as if it were unknown.",
+        examples=[True],
     )
 
     @model_validator(mode="after")

@@ -170,6 +170,8 @@ class MarkerTracks:
         None when neither the user nor a marker of known size gives one.
     reference : tuple of str
         Fixed markers, whose motion is subtracted from the displacement of the others.
+    input : tuple of str
+        Markers on the clamp, whose motion is the measured input of the others.
     first_frame : uint8 array or None, shape (height, width)
         The first good frame, stretched to 8 bit, for display.
     notes : tuple of str
@@ -206,6 +208,7 @@ class MarkerTracks:
     time_axis: TimeAxis
     decode: DecodeReport
     reference: tuple[str, ...] = ()
+    input: tuple[str, ...] = ()
     first_frame: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
     strip: FrameStrip | None = None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.tracks import tracks_of
 
 from benchmarks.known_input_scenes import (
     DAMPING_RATIOS,
@@ -15,7 +16,7 @@ from benchmarks.known_input_scenes import (
     record,
 )
 from modal_id import Identification, IdentifySettings, identify
-from tracker import DisplacementSeries, Failure, KnownInput
+from tracker import DisplacementSeries, Failure, KnownInput, displacement_series
 
 #: Four values, each within this many sd: one in 4000 seeds fails by chance.
 _LIMIT = 4.0
@@ -186,6 +187,23 @@ def test_an_input_of_another_length_is_refused() -> None:
     series = _series(record("random", 8))
     with pytest.raises(ValueError, match="same clock and length"):
         replace(series, known_input=KnownInput("base", np.zeros(5), "mm"))
+
+
+def test_a_marker_on_the_clamp_gives_the_motion_of_the_base() -> None:
+    one = record("random", 12, input_noise_mm=NOISE_MM)
+    x_px = np.column_stack([one.base, one.values]) + np.array([100.0, 150.0, 200.0, 250.0])
+    tracks = tracks_of(x_px, fps=400, sd_px=NOISE_MM, input=("m1",))
+    series = displacement_series(tracks)
+    assert series.channels == ("m2", "m3", "m4")
+    found = _found(series)
+    _check(found)
+    mode = found.modes[0]
+    assert mode.participation is not None
+    assert mode.participation_sd is not None
+    scores = (mode.participation - PARTICIPATION[0]) / mode.participation_sd
+    assert np.max(np.abs(scores)) < _LIMIT, (
+        f"participation {mode.participation}, simulated {PARTICIPATION[0]}"
+    )
 
 
 def test_an_unrelated_input_shows_no_mode() -> None:
