@@ -97,6 +97,18 @@ def is_driven(found: ResponseFit) -> BoolArray:
     return np.asarray(power > TUNING.least_power * 2.0 * found.noise.input)
 
 
+def drives(found: ResponseFit) -> BoolArray:
+    """Whether the input exceeds its noise somewhere within the resonance of each mode; shape (m,).
+
+    Not at its frequency: the lines of a periodic input may lie on both sides of it.
+    """
+    driven, frequency_hz = is_driven(found), found.samples.frequency_hz
+    step_hz = float(frequency_hz[1] - frequency_hz[0])
+    reach_hz = np.maximum(TUNING.half_widths * -found.poles.real / (2.0 * np.pi), TUNING.near * step_hz)
+    apart_hz = np.abs(frequency_hz[:, None] - np.abs(found.poles) / (2.0 * np.pi))
+    return np.asarray(np.any(driven[:, None] & (apart_hz < reach_hz), axis=0))
+
+
 def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) -> tuple[float, complex]:
     """Gain of log likelihood and the best pole of a damping ratio about the bin `at`."""
     samples = found.samples

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.response.candidates import candidates, is_driven
+from modal_id.response.candidates import candidates, drives
 from modal_id.response.columns import OF_MODE, Samples
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
@@ -109,8 +109,7 @@ def _with_mode(
     poles = trial.poles
     while poles.size and not kept.all():
         better = _refined(found.samples, poles, known, found.noise)
-        at = np.interp(np.abs(better.poles) / (2.0 * np.pi), better.samples.frequency_hz, is_driven(better))
-        kept = significant(better, penalty) & (at > 0.5)
+        kept = significant(better, penalty) & drives(better)
         poles = better.poles[kept]
     if poles.size > found.poles.size:
         return better
