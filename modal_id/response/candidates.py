@@ -98,14 +98,15 @@ def is_driven(found: ResponseFit) -> BoolArray:
 
 
 def drives(found: ResponseFit) -> BoolArray:
-    """Whether the input exceeds its noise somewhere within the resonance of each mode; shape (m,).
+    """Whether the input exceeds its noise somewhere about the resonance of each mode; shape (m,).
 
     Not at its frequency: the lines of a periodic input may lie on both sides of it.
     """
     driven, frequency_hz = is_driven(found), found.samples.frequency_hz
-    step_hz = float(frequency_hz[1] - frequency_hz[0])
-    reach_hz = np.maximum(TUNING.half_widths * -found.poles.real / (2.0 * np.pi), TUNING.near * step_hz)
-    apart_hz = np.abs(frequency_hz[:, None] - np.abs(found.poles) / (2.0 * np.pi))
+    hz = np.abs(found.poles) / (2.0 * np.pi)
+    # Half the distance that peaks of the residual keep, for a slightly damped mode between two lines.
+    reach_hz = np.maximum(-found.poles.real / (2.0 * np.pi), 0.5 * TUNING.apart * hz)
+    apart_hz = np.abs(frequency_hz[:, None] - hz)
     return np.asarray(np.any(driven[:, None] & (apart_hz < reach_hz), axis=0))
 
 

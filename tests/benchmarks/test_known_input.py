@@ -70,8 +70,8 @@ def test_shaking_by_hand_shows_the_mode_that_it_drives() -> None:
     _check(_found(_series(record("hand", 2), input_sd=0.0)), slice(0, 1))
 
 
-# In the sweep of seed 29 the first pole that is found lies between both modes; the lines of the broad record are further
-# apart than the width of a resonance.
+# In the sweep of seed 29 the first pole that is found lies between both modes; the lines of the broad record are
+# further apart than the width of a resonance.
 @pytest.mark.parametrize(("kind", "seed"), [("random", 3), ("sweep", 29), ("broad", 12)])
 def test_noise_of_the_input_does_not_bias_damping(kind: str, seed: int) -> None:
     _check(_found(_series(record(kind, seed, input_noise_mm=0.02), input_sd=0.02)))
