@@ -141,6 +141,9 @@ def identify(
             "--input", metavar="COLUMN", help="Channel that drives the others: base motion or force."
         ),
     ] = None,
+    output_only: Annotated[
+        bool, typer.Option("--output-only", help="Ignore a measured input: identify the outputs alone.")
+    ] = False,
     input_unit: Annotated[
         str | None,
         typer.Option("--input-unit", help="Its unit, if not that of the others: it is a force then."),
@@ -168,6 +171,8 @@ def identify(
     }
     if excitation is not None:
         given["excitation"] = excitation
+    if output_only:
+        given["output_only"] = True
     recording = parse_recording(given, where="command line")
     command = partial(
         commands.identify,

@@ -55,6 +55,21 @@ def test_the_tables_have_modes_participation_and_response(out):
     assert peak == pytest.approx(expected, rel=0.02), "from 1 over it, and a frequency between two bins"
 
 
+def test_the_universal_file_holds_the_responses(out):
+    """Read by pyuff: function type 5, transmissibility, at the frequencies of the table."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = pyuff.UFF(str(out / "universal" / "take.uff")).read_sets()
+    found = [one for one in sets if one["type"] == 58 and one["func_type"] == 5]
+    table = pd.read_csv(out / "response" / "take.csv")
+    assert [one["rsp_ent_name"].strip() for one in found] == ["a", "b", "c"]
+    for one in found:
+        own = table[table.channel == one["rsp_ent_name"].strip()]
+        np.testing.assert_allclose(
+            one["x"], own.frequency_hz, rtol=1e-6, err_msg="from the width of the column"
+        )
+        np.testing.assert_allclose(one["data"], own.real + 1j * own.imaginary, rtol=1e-9)
+
+
 def test_the_report_has_its_section_and_no_decay(out):
     page = (out / "report.html").read_text("utf-8")
     assert "Frequency response to the measured input" in page
@@ -94,3 +109,24 @@ def test_an_input_that_is_no_channel_is_refused_with_the_channels(tmp_path):
     assert result.exit_code != 0
     assert "--input clamp" in str(result.exception)
     assert "base, a, b, c" in str(result.exception)
+
+
+def test_the_input_is_ignored_with_output_only(tmp_path):
+    """A decay beside a channel that does not move, which is no input."""
+    _table(record("decay", 11), tmp_path / "take.csv")
+    command = [
+        "identify",
+        str(tmp_path / "take.csv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--unit",
+        "mm",
+        "--input",
+        "base",
+    ]
+    refused = CliRunner().invoke(app, command)
+    assert "does not move" in refused.output
+    result = CliRunner().invoke(app, [*command, "--output-only", "--force"])
+    assert result.exit_code == 0, result.output
+    assert not (tmp_path / "out" / "response").exists()
+    assert len(pd.read_csv(tmp_path / "out" / "modes.csv")) == FREQUENCIES_HZ.size
