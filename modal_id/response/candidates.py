@@ -105,9 +105,8 @@ def drives(found: ResponseFit) -> BoolArray:
     driven, frequency_hz = is_driven(found), found.samples.frequency_hz
     hz = np.abs(found.poles) / (2.0 * np.pi)
     # Half the distance that peaks of the residual keep, for a slightly damped mode between two lines.
-    reach_hz = np.maximum(-found.poles.real / (2.0 * np.pi), 0.5 * TUNING.apart * hz)
-    apart_hz = np.abs(frequency_hz[:, None] - hz)
-    return np.asarray(np.any(driven[:, None] & (apart_hz < reach_hz), axis=0))
+    near = np.abs(frequency_hz[:, None] - hz) < 0.5 * TUNING.apart * hz
+    return np.asarray(np.any(driven[:, None] & near, axis=0))
 
 
 def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) -> tuple[float, complex]:

@@ -74,7 +74,7 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     penalty = criterion(samples)
     level = np.maximum(np.mean(samples.outputs**2, axis=0), 1e-300)
     noise = Noise(np.tile(level, (samples.frequency_hz.size, 1)), 0.0)
-    found = _refined(samples, np.empty(0, dtype=complex), known, noise)
+    found = _refined(samples, np.empty(0, dtype=complex), known, noise, TUNING.search_rounds)
     better: ResponseFit | None = found
     while better is not None:
         found = better
@@ -90,7 +90,7 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     if not found.poles.size:
         return None
     order = np.argsort(np.abs(found.poles))
-    return _refined(samples, found.poles[order], known, found.noise, TUNING.rounds)
+    return _without_weak(found, found.poles[order], known, penalty, TUNING.rounds)
 
 
 def criterion(samples: Samples) -> float:
@@ -105,19 +105,25 @@ def _with_mode(
     trial = _Weighted(found.likely, np.append(found.poles, pole), found.weights).converged()
     if before.score - trial.score < penalty or _has_left(pole, trial.poles[-1]):
         return None
-    better, kept = found, np.zeros(1, dtype=bool)
-    poles = trial.poles
-    while poles.size and not kept.all():
-        better = _refined(found.samples, poles, known, found.noise)
-        kept = significant(better, penalty) & drives(better)
-        poles = better.poles[kept]
-    if poles.size > found.poles.size:
-        return better
-    if poles.size < found.poles.size or not poles.size:
-        return None
+    better = _without_weak(found, trial.poles, known, penalty, TUNING.search_rounds)
+    if better is None or better.poles.size != found.poles.size:
+        return None if better is None or better.poles.size < found.poles.size else better
     # As many modes as before, elsewhere.
-    after = _Weighted(found.likely, poles, found.weights)
+    after = _Weighted(found.likely, better.poles, found.weights)
     return better if before.score - after.score > penalty else None
+
+
+def _without_weak(
+    found: ResponseFit, poles: ComplexArray, known: InputNoise, penalty: float, rounds: int
+) -> ResponseFit | None:
+    """The fit from these poles without those that are not significant or not driven; None where none is left."""
+    while poles.size:
+        better = _refined(found.samples, poles, known, found.noise, rounds)
+        kept = significant(better, penalty) & drives(better)
+        if kept.all():
+            return better
+        poles = better.poles[kept]
+    return None
 
 
 class _Weighted:
@@ -191,7 +197,7 @@ def _refined(
     poles: ComplexArray,
     known: InputNoise,
     noise: Noise,
-    rounds: int = TUNING.search_rounds,
+    rounds: int,
 ) -> ResponseFit:
     """Poles with the noise spectra of outputs and input, all iterated together from a first noise."""
     found = solve_at(samples, samples, poles, noise, 1.0 / noise.output)
