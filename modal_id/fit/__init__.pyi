@@ -13,6 +13,7 @@ from .named_lines import with_named as with_named
 from .omissions import Omissions as Omissions
 from .own_decay import own_decay as own_decay
 from .repeating_errors import without_repeating_errors as without_repeating_errors
+from .rounding import with_rounding_errors as with_rounding_errors
 from .scale_errors import with_scale_errors as with_scale_errors
 from .spectrum import ResidualSpectrum as ResidualSpectrum
 from .spectrum import least_level as least_level

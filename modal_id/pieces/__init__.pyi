@@ -1,4 +1,3 @@
-from .change_of_motion import change_of_motion as change_of_motion
 from .fit_decays import fit_decays as fit_decays
 from .misfit import misfit as misfit
 from .spread import mean_scatter_rad_s as mean_scatter_rad_s

@@ -15,11 +15,11 @@ from modal_id.fit import (
     find_modes,
     refit,
     with_named,
+    with_rounding_errors,
     with_scale_errors,
     without_repeating_errors,
 )
 from modal_id.modes import FittedDecay, moving_channels
-from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.misfit import Misfit, misfit
 from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
@@ -28,6 +28,7 @@ from modal_id.segments import (
     changed_onset,
     click_segments,
     from_largest_deflection,
+    likeliest_change,
     locate_boundary,
     no_line,
     without_clicks,
@@ -51,8 +52,6 @@ class Tuning:
     least_cycles: float = 6.0
     #: [samples] samples per cycle of the fastest mode in the search for the time of a change
     samples_per_cycle: float = 8.0
-    #: [cycles] error of the time of a change before it is located
-    rough_cycles: float = 1.0
     #: [1] rms of a channel at rest over that of the motion that follows
     rest_share: float = 0.2
     #: [cycles] length from which a piece is long
@@ -140,19 +139,18 @@ class PieceFitter:
 
     def _change(self, one: FittedDecay) -> Boundary | None:
         """Where the motion changes, relative to the fit's data; None where these are too few."""
-        change_s = change_of_motion(one.model)
-        if change_s is None:
-            return None
         cycle_s, fastest_hz = _cycle_s(one), float(np.max(frequency_hz(one.model.fit.poles)))
         # A pluck may have been taken for a click of the motion as a whole.
         rows = one.rows - self.used.first_row
         unused = (self.disturbed | self.used.repeated)[rows]
         data = _without(replace(one.data, weights=self.used.data.weights[rows]), unused)
         thin = data.averaged(max(1, int(1.0 / (TUNING.samples_per_cycle * fastest_hz * data.step_s))))
-        last_s, rough_s = float(one.data.time_s[-1]), TUNING.rough_cycles * cycle_s
-        limits = max(change_s - rough_s, 0.0), min(change_s + rough_s, last_s)
-        found = locate_boundary(thin, 0.0, limits, last_s, cycle_s, self.lowest_hz)
-        return found or Boundary(change_s - one.data.step_s, change_s, 0.25 * cycle_s)
+        change = likeliest_change(thin, (1.0 / cycle_s,))
+        if change is None:
+            return None
+        limits = change.low_s, change.high_s
+        found = locate_boundary(thin, 0.0, limits, float(thin.time_s[-1]), cycle_s, self.lowest_hz)
+        return found or Boundary(*limits, change.place.sd_s)
 
     def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
         """Fit from a release within a decay of few cycles that begins with the record."""
@@ -199,6 +197,8 @@ class PieceFitter:
                 noise_level(model, None, model.strongest).factor if series.position_errors.predicted else 1.0
             )
             model = without_repeating_errors(model, series.position_errors, own, mixed, level=max(level, 1.0))
+        elif mixed is None:
+            model = with_rounding_errors(model, series, used.channels[moving])
         if series.scale_change is not None:
             model = with_scale_errors(model, series.scale_change, onset.fit_from_s)
         rows = used.first_row + np.arange(inside.start, inside.stop, dtype=np.int32)

@@ -13,7 +13,6 @@ from .drive_odds import held_density as held_density
 from .drive_odds import is_driven as is_driven
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
-from .envelope import short_time as short_time
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset
 from .find_onset import from_largest_deflection as from_largest_deflection
@@ -24,9 +23,9 @@ from .find_onset import user_onset as user_onset
 from .narrate import no_line as no_line
 from .narrate import seen as seen
 from .narrate import whole_record as whole_record
-from .one_decay import may_be_two_decays as may_be_two_decays
 from .partition import best_division as best_division
 from .partition import find_changes as find_changes
+from .partition import likeliest_change as likeliest_change
 from .rest import rest_until as rest_until
 from .spikes import without_spikes as without_spikes
 from .steadiness import holds_a_decay as holds_a_decay

@@ -9,9 +9,8 @@ import numpy as np
 
 from modal_id.data import FitData, detrended, rough_variance
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.dominant import find_tones
+from modal_id.segments.dominant import Tones, find_tones
 from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_RISE, is_rather_driven
-from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
@@ -20,11 +19,12 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
-from modal_id.segments.line_blocks import LineBlocks, line_blocks
-from modal_id.segments.one_decay import may_be_two_decays
+from modal_id.segments.line_blocks import line_blocks
+from modal_id.segments.partition import Change, likeliest_change
 from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
 from modal_id.segments.steadiness import decays, probability_of_drive
+from modal_id.segments.stop import ChangeSearch
 from modal_id.segments.swing import without_swing
 from tracker import BoolArray, FloatArray
 
@@ -48,10 +48,6 @@ class Tuning:
     #: [1] least amplitude of the latter half of a driven motion over its largest
     #: convention: Less is the transient of its start.
     kept: float = 0.3
-    #: [1] share of the largest amplitude above which driving is looked for
-    loud: float = 0.1
-    #: [1] share of the median rate of fall below which driving is looked for
-    slow_fall: float = 0.6
 
 
 TUNING = Tuning()
@@ -141,11 +137,8 @@ def divide(
     per_cycle = TUNING.samples_per_cycle * data.step_s
     fine = beam.averaged(max(1, int(1.0 / (per_cycle * max(tones.strongest_hz)))))
     fine = without_spikes(fine, strongest)
-    events = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
-    thin = fine.averaged(max(1, int(1.0 / (per_cycle * strongest * fine.step_s / data.step_s))))
-    blocks = line_blocks(fine, tones.strongest_hz)
-    frequencies = strongest, tones.wanted_hz
-    division = _Division(data, beam, thin, variance, base, frequencies, lowest_hz, events, rest_s, blocks)
+    events, others = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
+    division = _Division(data, beam, fine, variance, base, tones, lowest_hz, events, others, rest_s)
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -167,21 +160,23 @@ class _Division:
         self,
         data: FitData,
         beam: FitData,
-        thin: FitData,
+        fine: FitData,
         variance: FloatArray,
         base: BoolArray,
-        frequencies_hz: tuple[float, float],
+        tones: Tones,
         lowest_hz: float,
         events: list[Event],
+        others: list[Change],
         rest_until_s: float | None,
-        blocks: LineBlocks,
     ) -> None:
-        """`frequencies_hz` are those of the strongest line and of the target; `blocks` those of the lines."""
+        """`fine` are the channels but for the base, averaged; `others` changes that are no events."""
+        self.data, self.beam, self.fine, self.variance, self.base = data, beam, fine, variance, base
+        self.tones, self.frequency_hz, self.lowest_hz = tones, tones.dominant_hz, lowest_hz
+        least_s = 1.0 / (TUNING.samples_per_cycle * self.frequency_hz)
+        self.thin = fine.averaged(max(1, int(least_s / fine.step_s)))
+        blocks = line_blocks(fine, tones.strongest_hz)
         self.block_s, self.level = blocks.centres_s, blocks.level
-        self.data, self.beam, self.thin, self.variance, self.base = data, beam, thin, variance, base
-        self.frequency_hz, self.wanted_hz = frequencies_hz
-        self.lowest_hz = lowest_hz
-        self.envelope = short_time(thin, self.frequency_hz)
+        self.others = others
         self.rest_until_s = rest_until_s
         self.segments: list[Segment] = []
         self.decays: list[Decay] = []
@@ -234,25 +229,17 @@ class _Division:
         tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
         prior = _prior(piece)
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
-        driven = (
-            long
-            and self._keeps_amplitude(piece)
-            and is_rather_driven(probability_of_drive(tail, self.frequency_hz, self.lowest_hz, prior))
-        )
+        moves = following is not None and not self._at_rest(following)
+        follows = following if moves and following is not None and not _rises(following) else None
+        driven = long and self._keeps_amplitude(piece) and self._is_steady(tail, prior, follows)
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
-        first = event is not None and event.start_s <= self.thin.time_s[0]
-        begin_s = event.start_s if event is not None and first else piece.start_s
-        # A base that stops abruptly is an event, too: the stop is looked for across it.
-        joined = following is not None and not self._at_rest(following)
-        joined = joined and (driven or not long or following is None or not _rises(following))
-        ends: list[tuple[float, Event | None]] = [(piece.end_s, None)]
-        if joined and following is not None:
-            change = following.before
-            # Where the motion goes on, the change may have been found too late: then it is searched for.
-            joined_ends = [change, None] if change is not None and change.jump < JOINS else [change]
-            ends = [*((following.end_s, one) for one in joined_ends), *ends]
-        for end_s, change in ends:
-            onset = self._stop(begin_s, end_s, prior, change)
+        first = event if event is not None and event.start_s <= self.thin.time_s[0] else None
+        begin_s = piece.start_s if first is None else first.start_s
+        near = self._places(piece, following if driven or not long or follows is not None else None)
+        if first is not None:
+            near.append((piece.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
+        for end_s, place in near:
+            onset = self._stop(begin_s, end_s, prior, place)
             if onset is not None:
                 self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
@@ -272,68 +259,58 @@ class _Division:
             )
         return continued_onset(piece.before)
 
-    def _stop(self, start_s: float, end_s: float, prior: float, change: Event | None) -> Onset | None:
-        """Onset where a drive ends between two times: at a change, or where the search finds it."""
-        known_s = None
-        if change is not None:
-            width_s = float(
-                np.hypot(np.nan_to_num(change.sd_s), (change.end_s - change.start_s) / np.sqrt(12.0))
-            )
-            known_s = 0.5 * (change.start_s + change.end_s) - start_s, max(width_s, self.data.step_s)
-        elif not self._may_hold_steady(start_s, end_s):
-            return None
+    def _places(self, piece: _Piece, following: _Piece | None) -> list[tuple[float, ChangeSearch]]:
+        """Where a drive may end, with the end of the decay after it: the next piece may be part of that."""
+        own = [(piece.end_s, one) for one in self._others(piece.start_s, piece.end_s)]
+        event = None if following is None else following.before
+        if following is None or event is None or self._at_rest(following):
+            return own
+        # A base that stops abruptly is an event, too. Where the motion goes on, it may have been found too late.
+        late = self._others(piece.start_s, following.end_s) if event.jump < JOINS else []
+        return [(following.end_s, event.place), *own, *((following.end_s, one) for one in late)]
+
+    def _others(self, start_s: float, end_s: float) -> list[ChangeSearch]:
+        """Changes that are no events between two times; without any, the likeliest one."""
+        found = [one for one in self.others if start_s < one.low_s and one.high_s < end_s]
+        if not found:
+            one = likeliest_change(self.fine.between(start_s, end_s), self.tones.strongest_hz)
+            found = [] if one is None else [one.later(start_s)]
+        return [one.place for one in found]
+
+    def _stop(self, start_s: float, end_s: float, prior: float, place: ChangeSearch) -> Onset | None:
+        """Onset where a drive ends between two times, where a change is known or looked for."""
+        place = replace(place, time_s=place.time_s - start_s)
         part = self.data.between(start_s, end_s)
-        found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base, known_s)
+        found = stop_of_shaking(part, self.variance, self.tones.wanted_hz, self.lowest_hz, self.base, place)
         if found is None:
             return None
         driving, found = _Piece(start_s, start_s + found.time_s, None), _shifted(found, start_s)
-        free = self.thin.between(found.fit_from_s, end_s)
+        free = _Piece(found.fit_from_s, end_s, None)
         if not self._keeps_amplitude(driving) or not self._is_driven(driving, free, prior):
             return None
         return found
 
-    def _is_driven(self, piece: _Piece, follows: FitData, prior: float) -> bool:
+    def _is_steady(self, late: FitData, prior: float, follows: _Piece | None) -> bool:
+        """Whether a drive explains samples better than a free motion, from what follows them as well."""
+        after = None if follows is None else self.thin.between(follows.start_s, follows.end_s)
+        after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
+        return is_rather_driven(probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after))
+
+    def _is_driven(self, piece: _Piece, follows: _Piece, prior: float) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
         late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         if few or late.time_s.size < TUNING.least_rows:
             return True
-        probability = probability_of_drive(
-            late,
-            self.frequency_hz,
-            self.lowest_hz,
-            prior,
-            follows if follows.time_s.size >= TUNING.least_rows else None,
-        )
-        if not is_rather_driven(probability):
+        if not self._is_steady(late, prior, follows):
             return False
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 
     def _keeps_amplitude(self, piece: _Piece) -> bool:
         """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
-        envelope = self.envelope
-        if envelope is None:
-            return True
-        middle = 0.5 * (piece.start_s + piece.end_s)
-        known = np.isfinite(envelope.amplitude) & (envelope.time_s <= piece.end_s)
-        late = envelope.amplitude[known & (envelope.time_s >= middle)]
-        whole = envelope.amplitude[known & (envelope.time_s >= piece.start_s)]
-        return not late.size or float(np.median(late)) > TUNING.kept * float(np.max(whole))
-
-    def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
-        """Whether the envelope falls much more slowly somewhere than on the whole, beyond noise: a quick check."""
-        envelope = self.envelope
-        if envelope is None:
-            return True
-        amplitude = envelope.amplitude
-        inside = (envelope.time_s >= start_s) & (envelope.time_s <= end_s) & np.isfinite(amplitude)
-        level = amplitude[inside]
-        if level.size <= 2 * HOPS:
-            return True
-        loud = level[: level.size - HOPS] > TUNING.loud * np.max(level)
-        fall = np.log(level[:-HOPS] / np.maximum(level[HOPS:], 1e-300))[loud]
-        slow = fall.size < 2 or np.min(fall) < TUNING.slow_fall * np.median(fall)
-        return bool(slow and may_be_two_decays(envelope, inside))
+        known = np.isfinite(self.level) & (self.block_s >= piece.start_s) & (self.block_s <= piece.end_s)
+        late = self.level[known & (self.block_s >= 0.5 * (piece.start_s + piece.end_s))]
+        return not late.size or float(np.median(late)) > TUNING.kept * float(np.max(self.level[known]))
 
     def _at_rest(self, piece: _Piece) -> bool:
         if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:

@@ -15,6 +15,7 @@ from modal_id.data import FitData, baseline_matrix, rough_variance
 from modal_id.fit import ModalFit
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
 from modal_id.segments.partition import Change, find_changes
+from modal_id.segments.stop import ChangeSearch
 from modal_id.solve import mode_functions, real_columns
 from tracker import BoolArray, FloatArray
 
@@ -72,11 +73,18 @@ class Event:
     sd_s: float = float("nan")
     jump: float = 1.0
 
+    @property
+    def place(self) -> ChangeSearch:
+        """Its time, which is known."""
+        width_s = (self.end_s - self.start_s) / np.sqrt(12.0)
+        sd_s = float(np.hypot(np.nan_to_num(self.sd_s), width_s))
+        return ChangeSearch(0.5 * (self.start_s + self.end_s), sd_s)
+
 
 def find_events(
     data: FitData, tones_hz: tuple[float, ...], lowest_hz: float, rest_until_s: float | None = None
-) -> list[Event]:
-    """Events of a record, in order of time.
+) -> tuple[list[Event], list[Change]]:
+    """Events of a record, and changes after which the motion goes on, as where a drive ends; in order of time.
 
     Parameters
     ----------
@@ -90,6 +98,7 @@ def find_events(
         The record is known to be at rest until then, where a motion begins.
     """
     events: list[Event] = []
+    others: list[Change] = []
     begin = float(data.time_s[0])
     if rest_until_s is not None:
         events.append(Event("rise", rest_until_s, rest_until_s + data.step_s))
@@ -98,6 +107,8 @@ def find_events(
     for index, change in enumerate(changes):
         until = changes[index + 1].low_s if index + 1 < len(changes) else float(data.time_s[-1])
         event = _event(data, change, begin, until, 1.0 / tones_hz[0], lowest_hz)
+        if event is None or event.kind == "burst":
+            others.append(change)
         if event is None:
             continue
         events.append(event)
@@ -107,7 +118,8 @@ def find_events(
         else:
             begin = event.end_s
     joined = [e for e in events if e.jump < TUNING.joins]
-    return events if len(joined) <= TUNING.most_joined else [e for e in events if e not in joined]
+    events = events if len(joined) <= TUNING.most_joined else [e for e in events if e not in joined]
+    return events, others
 
 
 def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:

@@ -10,7 +10,7 @@ from modal_id.data import FitData, detrended
 from modal_id.fit import find_modes
 from modal_id.record import Onset
 from modal_id.segments.events import Event
-from modal_id.segments.stop import Stop, driven_then_free, locate_stop
+from modal_id.segments.stop import ChangeSearch, Stop, driven_then_free, locate_stop
 from tracker import BoolArray, FloatArray
 
 
@@ -67,15 +67,15 @@ def stop_of_shaking(
     frequency: float,
     lowest_hz: float,
     base: BoolArray,
-    known_s: tuple[float, float] | None = None,
+    place: ChangeSearch,
 ) -> Onset | None:
     """Onset where steady shaking ends and a free decay follows; None where the data show no such change.
 
     `data` hold the channels and, where the mask `base` is True, those of the moving base, to which the others are
-    relative; `variance` is the noise variance of all of them, `known_s` time and sd of a change that may be the end.
+    relative; `variance` is the noise variance of all of them, `place` that of a change that may be the end.
     Times are relative to `data`.
     """
-    change = driven_then_free(data.channels(~base), variance[~base], frequency, known_s)
+    change = driven_then_free(data.channels(~base), variance[~base], frequency, place)
     if change is None or change.probability <= TUNING.likely:
         return None
     step, last = data.step_s, float(data.time_s[-1])

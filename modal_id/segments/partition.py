@@ -14,6 +14,7 @@ import numpy as np
 
 from modal_id.data import FitData
 from modal_id.segments.line_blocks import LineBlocks, line_blocks, shortest_block_s
+from modal_id.segments.stop import ChangeSearch
 from modal_id.segments.stretch_costs import stretch_costs
 from tracker import BoolArray, FloatArray
 
@@ -49,6 +50,12 @@ class Change:
     low_s: float
     high_s: float
     unknown: bool = False
+
+    @property
+    def place(self) -> ChangeSearch:
+        """Where it is looked for."""
+        width_s = self.high_s - self.low_s
+        return ChangeSearch(0.5 * (self.low_s + self.high_s), width_s / float(np.sqrt(12.0)), width_s)
 
     def later(self, by_s: float) -> Change:
         """The same, later by `by_s`."""
@@ -131,13 +138,24 @@ def _refined(data: FitData, tones_hz: tuple[float, ...], begin_s: float, change:
         blocks = line_blocks(data.between(low_s, change.high_s + width_s), tones_hz)
         if blocks.edges_s.size < 4:
             break
-        cost, _ = _total_costs(blocks)
-        at = int(np.argmin(cost[0, 1:-1] + cost[1:-1, -1])) + 1
-        limits = _reach(blocks.edges_s, _seen(blocks), at)
-        if limits[1] - limits[0] >= width_s:
+        closer = _of_two(blocks)
+        if closer.high_s - closer.low_s >= width_s:
             break
-        change = Change(*limits).later(low_s)
+        change = closer.later(low_s)
     return change
+
+
+def likeliest_change(data: FitData, tones_hz: tuple[float, ...]) -> Change | None:
+    """Where a motion that changes once does so most likely; None where there are too few blocks."""
+    blocks = line_blocks(data, tones_hz)
+    return _refined(data, tones_hz, 0.0, _of_two(blocks)) if blocks.edges_s.size >= 4 else None
+
+
+def _of_two(blocks: LineBlocks) -> Change:
+    """The change between the two stretches of the best division into two."""
+    cost, _ = _total_costs(blocks)
+    at = int(np.argmin(cost[0, 1:-1] + cost[1:-1, -1])) + 1
+    return Change(*_reach(blocks.edges_s, _seen(blocks), at))
 
 
 def _total_costs(blocks: LineBlocks) -> tuple[FloatArray, BoolArray]:

@@ -1,13 +1,14 @@
-"""Single samples far from the motion about them, which would look like events in the envelope."""
+"""Single samples far from the motion about them, which would look like events."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.data import FitData
-from modal_id.segments.envelope import Windows, windows
 from tracker import BoolArray, FloatArray
 
 
@@ -15,6 +16,13 @@ from tracker import BoolArray, FloatArray
 class Tuning:
     """Spikes within windows."""
 
+    #: [cycles] length of a window
+    #: convention: Two separate the motion from an offset.
+    cycles: float = 2.0
+    #: [samples] fewest samples of a window
+    min_samples: int = 10
+    #: [1] span of a window over the usual one, above which the window contains a gap
+    longest: float = 1.5
     #: [1] mean square residual over that of the quiet windows from which samples are examined
     #: statistics: Three standard deviations.
     large: float = 9.0
@@ -31,14 +39,66 @@ class Tuning:
 
 TUNING = Tuning()
 
+# Windows overlap by three quarters.
+_HOPS = 4
+# Windows at a time: the columns of all would take two hundred bytes for each sample.
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Windows of two cycles of a record, each a quarter of their length later.
+
+    ``first``, shape (m,), are the rows of their first samples, ``samples`` the number of samples in each; ``whole``
+    marks windows without a gap, shape (m,).
+    """
+
+    time_s: FloatArray
+    frequency_hz: float
+    first: NDArray[np.intp]
+    samples: int
+    centre_s: FloatArray
+    half_s: float
+    whole: BoolArray
+
+    def blocks(self, which: BoolArray | None = None) -> Iterator[NDArray[np.intp]]:
+        """Indices of all windows, or of those in the mask, some at a time."""
+        chosen = np.arange(self.first.size) if which is None else np.flatnonzero(which)
+        yield from (chosen[begin : begin + _BLOCK] for begin in range(0, chosen.size, _BLOCK))
+
+    def rows(self, some: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Rows of the samples of some windows; shape (w, l)."""
+        return self.first[some, None] + np.arange(self.samples)
+
+    def columns(self, some: NDArray[np.intp]) -> FloatArray:
+        """Offset, cosine and sine, and these times the time from the centre, -1 to 1; shape (w, l, 6)."""
+        times = self.time_s[self.rows(some)]
+        since = (times - self.centre_s[some, None]) / self.half_s
+        phase = 2.0 * np.pi * self.frequency_hz * times
+        wave = np.stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)], axis=2)
+        return np.concatenate([wave, since[:, :, None] * wave], axis=2)
+
+
+def _windows(data: FitData, frequency_hz: float) -> _Windows | None:
+    """Windows at a frequency; None where the record is too short for three."""
+    step = data.step_s
+    length = max(round(TUNING.cycles / (frequency_hz * step)), TUNING.min_samples)
+    length += -length % _HOPS
+    if data.time_s.size < 3 * length:
+        return None
+    first = np.arange(0, data.time_s.size - length + 1, length // _HOPS)
+    begin, end = data.time_s[first], data.time_s[first + length - 1]
+    whole = end - begin < TUNING.longest * length * step
+    return _Windows(data.time_s, frequency_hz, first, length, 0.5 * (begin + end), 0.5 * length * step, whole)
+
 
 def without_spikes(data: FitData, frequency_hz: float) -> FitData:
     """The data with single samples at weight 0 whose removal explains the windows about them.
 
-    The motion in a window is an offset, an amplitude and their slopes, as in the envelope. A pluck, a stop or a step
+    The motion in a window is an offset, an amplitude and their slopes. A pluck, a stop or a step
     within a window disturbs more samples than may be removed; at its edge, the next window shows it.
     """
-    found = windows(data, frequency_hz)
+    found = _windows(data, frequency_hz)
     if found is None:
         return data
     weights = data.weights.copy()
@@ -47,7 +107,7 @@ def without_spikes(data: FitData, frequency_hz: float) -> FitData:
     return replace(data, weights=weights)
 
 
-def _spikes(found: Windows, data: FitData, channel: int) -> BoolArray:
+def _spikes(found: _Windows, data: FitData, channel: int) -> BoolArray:
     """Mask of the samples of one channel; shape (n,)."""
     y, w = data.values[:, channel], data.weights[:, channel]
     most = max(1, int(TUNING.most * found.samples))

@@ -16,11 +16,9 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """The end of driving."""
 
-    #: [samples] number of samples to which a longer record is thinned for the search, up to a factor of two
-    #: convention: Its result is refined on all.
+    #: [samples] number of samples to which a longer record is thinned for the fits, up to a factor of two
+    #: convention: The time is found from all.
     search_samples: int = 3000
-    #: [cycles] least driving before a change
-    min_cycles: float = 1.0
     #: [cycles] least decay after it
     #: physics: A change in the last few cycles is a jolt or a frozen frame.
     min_free_cycles: float = 5.0
@@ -53,6 +51,15 @@ _BLOCK = 8192
 
 
 @dataclass(frozen=True)
+class ChangeSearch:
+    """Time of a change with its standard deviation; it is looked for up to a distance, 0 where it is known."""
+
+    time_s: float
+    sd_s: float
+    reach_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class DrivenThenFree:
     """Time of the change relative to the data, its standard deviation, and the probability that there is one.
 
@@ -74,11 +81,9 @@ class _Split:
 
 
 def driven_then_free(
-    data: FitData, variance: FloatArray, frequency_hz: float, known_s: tuple[float, float] | None = None
+    data: FitData, variance: FloatArray, frequency_hz: float, place: ChangeSearch
 ) -> DrivenThenFree | None:
-    """Locate the change from driven to free motion; None when the record is too short.
-
-    Where the time of a change and its standard deviation are known, only its probability is to be found.
+    """The change from driven to free motion at a place; None where a side is too short.
 
     Before it every channel moves with the drive (a sinusoid) and the transient of its start, after it with the free
     decay; offsets differ, since the base may stop anywhere. A motion that decays before the change as it does after is
@@ -88,27 +93,18 @@ def driven_then_free(
     data = data.channels(kept)
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
-    cycles = thin.span_s * frequency_hz
-    if cycles < 2.0 * TUNING.min_cycles + TUNING.min_free_cycles:
-        return None
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    times = _grid(thin.span_s, frequency_hz) if known_s is None else np.array(known_s[:1])
-    # One by one: each holds several values for a sample.
-    splits = (s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None)
-    best = min(splits, key=lambda s: s.misfit, default=None)
+    time, sd = place.time_s, place.sd_s
+    best = split = _split(thin, time, frequency_hz, variance)
+    for _ in range(2 if place.reach_s > 0.0 else 0):
+        if split is None or best is None:
+            break
+        time, sd = _locate(data, variance, split, place.reach_s)
+        split = _split(thin, time, frequency_hz, variance)
+        best = best if split is None else replace(split, misfit=min(best.misfit, split.misfit))
     if best is None:
         return None
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
-    time, sd = (best.time_s, data.step_s) if known_s is None else known_s
-    for _ in range(2 if known_s is None else 0):
-        window = 0.12 * thin.span_s + 1.0 / frequency_hz
-        time, sd = _locate(data, variance, best, window)
-        again = _split(thin, time, frequency_hz, variance)
-        if again is None:
-            break
-        best = replace(again, misfit=min(best.misfit, again.misfit))
-    if known_s is None:
-        time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
     if (data.span_s - time) * frequency_hz < TUNING.min_free_cycles:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
@@ -130,11 +126,6 @@ def _thinned(data: FitData, frequency_hz: float) -> FitData:
     step = data.step_s
     stride = max(1, min(n // TUNING.search_samples, int(1.0 / (8.0 * frequency_hz * step))))
     return data.rows(slice(None, None, stride))
-
-
-def _grid(span_s: float, frequency_hz: float) -> FloatArray:
-    first, last = TUNING.min_cycles / frequency_hz, span_s - TUNING.min_free_cycles / frequency_hz
-    return np.unique(np.concatenate([np.geomspace(first, last, 10), np.linspace(first, last, 14)]))
 
 
 def _segment(data: FitData, rows: BoolArray, frequency_hz: float) -> PoleFit | None:
@@ -207,8 +198,8 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     total = np.zeros(rows.size)
     for channel in range(data.values.shape[1]):
         y, w = data.values[:, channel], data.weights[:, channel]
-        before = running_rss(left, y, w, rows[0] - 1, rows.size)
-        after = running_rss(right, y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
+        before = _running_rss(left, y, w, rows[0] - 1, rows.size)
+        after = _running_rss(right, y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
         total += (before + after) / variance[channel]
     samples = float(np.count_nonzero(data.weights))
     scaled = total / max(float(np.min(total)) / samples, 1.0)
@@ -240,7 +231,7 @@ class _Waves:
         return np.concatenate([np.ones_like(time_s), real_columns(waves)], axis=1)
 
 
-def running_rss(
+def _running_rss(
     columns: LongArray, values: FloatArray, weights: FloatArray, first: int, count: int
 ) -> FloatArray:
     """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""

@@ -9,7 +9,8 @@ from kit.series import QUICK, decay, series_of
 from modal_id import IdentifySettings, identify
 from modal_id.data import prepare
 from modal_id.fit import find_modes
-from modal_id.pieces import change_of_motion, misfit
+from modal_id.pieces import misfit
+from modal_id.segments import likeliest_change
 from tracker import PositionErrors
 
 T = np.arange(3000) / 200.0
@@ -55,8 +56,11 @@ def test_free_decays_leave_nothing_beyond_the_noise(noise):
 def test_a_change_leaves_unexplained_motion_and_is_found(name):
     model = fit_of(noisy(records()[name]))
     assert misfit(model).share > 0.01
-    cycle = 1.0 / MODES[1][0]
-    assert abs(change_of_motion(model) - CHANGE_S) < cycle, "of the slower mode"
+    change = likeliest_change(model.data, (MODES[0][0],))
+    assert change.low_s < CHANGE_S < change.high_s
+    assert change.high_s - change.low_s < 8.0 / MODES[0][0], (
+        "an edge is known to two blocks of two cycles each"
+    )
 
 
 @pytest.mark.parametrize(
@@ -79,7 +83,7 @@ def test_the_decays_about_a_change_are_answered(name, truth):
         )
 
 
-@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 3)), 7])
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (3,)), 7])
 def test_what_a_codec_leaves_out_is_no_change_of_the_motion(seed):
     """Some stretches of 0.2 s lack 1.5 sd of a position of the amplitude, as after a key frame; others nothing.
 

@@ -15,7 +15,7 @@ def test_a_second_mode_that_decays_sooner_is_no_click(seed):
     t = 0.003 * np.arange(26000)
     y = decay(t, 26.8, 3.4e-4, 1.0, 0.3) + decay(t, 6.1, 0.004, 0.2, 0.0) + 0.05 * np.sin(0.3 * t)
     y += 0.0115 * rng.standard_normal(t.size)
-    assert find_events(FitData(t, y[:, None], np.ones((t.size, 1))), (26.8,), 0.0) == []
+    assert find_events(FitData(t, y[:, None], np.ones((t.size, 1))), (26.8,), 0.0) == ([], [])
 
 
 def driven_until(t, stop_s):
@@ -33,7 +33,7 @@ def test_a_stop_in_a_gap_is_an_event(outliers):
     y[hit] += rng.choice([-1.0, 1.0], outliers) * rng.uniform(1.0, 3.0, outliers)
     weights = np.where((t > 2.0) & (t < 2.3), 0.0, 1.0)[:, None]
     data = FitData(t, y[:, None] * weights, weights)
-    found = find_events(without_spikes(data, 20.0), (20.0,), 0.0)
+    found, _ = find_events(without_spikes(data, 20.0), (20.0,), 0.0)
     (event,) = [one for one in found if one.kind != "burst"]
     assert event.kind == "fall"
     # Windows of two cycles at every half cycle, of which the last and the first are without the gap.
@@ -47,4 +47,4 @@ def test_a_decay_goes_on_across_a_gap():
     t = np.arange(1200) / 200.0
     y = decay(t, 20.0, 0.004, 1.0, 0.3) + 0.01 * rng.standard_normal(t.size)
     weights = np.where((t > 1.5) & (t < 3.7), 0.0, 1.0)[:, None]
-    assert find_events(FitData(t, y[:, None] * weights, weights), (20.0,), 0.0) == []
+    assert find_events(FitData(t, y[:, None] * weights, weights), (20.0,), 0.0) == ([], [])

@@ -58,7 +58,7 @@ def test_noise_about_one_decay_seldom_is_an_event(count):
             # solution of a' = -z w a (1 + a)
             size = 1.0 / (2.0 * np.exp(2 * np.pi * HZ * zeta * t) - 1.0)
             y = size * np.cos(2 * np.pi * HZ * t)
-        divided += bool(find_events(data_of(t, y, noise, seed), (HZ, 1.8 * HZ), 0.0))
+        divided += bool(find_events(data_of(t, y, noise, seed), (HZ, 1.8 * HZ), 0.0)[0])
     # The criterion costs a false event ln n of 300 samples: one record in a hundred or so.
     assert divided <= 0.05 * count, f"{divided} of {count} records divided"
 
