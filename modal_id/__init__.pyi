@@ -15,6 +15,8 @@ from .identify import identify_free_decay as identify_free_decay
 from .record import FittingRate as FittingRate
 from .record import Onset as Onset
 from .record import Segment as Segment
+from .response_values import RESPONSE_COLUMNS as RESPONSE_COLUMNS
+from .response_values import FrequencyResponse as FrequencyResponse
 from .results import AmbientBand as AmbientBand
 from .results import AmbientRecord as AmbientRecord
 from .results import AmplitudeCurve as AmplitudeCurve

@@ -73,7 +73,7 @@ class ModeFlag(Enum):
     )
     RESIDUAL_AT_MODE = (
         "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
-        "the motion is not a free decay of this form. The standard deviations were increased accordingly."
+        "the motion is not of the form that was fitted. The standard deviations were increased accordingly."
     )
 
     @property

@@ -33,6 +33,7 @@ from modal_id.modes import (
 from modal_id.pieces import fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
+from modal_id.response import identify_response
 from modal_id.results import FittedMode, Identification, IdentifiedMode
 from modal_id.segments import (
     PRIOR,
@@ -57,6 +58,10 @@ from tracker import DisplacementSeries, Failure
 _SHORT = (
     "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "
     "and end_s to one free decay"
+)
+_TWO_EXCITATIONS = (
+    'the input was measured, and excitation is "ambient", for forces that are not measured: give one of the two; '
+    "output_only ignores the input"
 )
 _STEADY = "The motion does not decay: it is driven, or decays too slowly for this record."
 _HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
@@ -93,6 +98,10 @@ def identify(
     (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
+    if series.known_input is not None and not settings.output_only:
+        if settings.excitation == "ambient":
+            return Failure(_TWO_EXCITATIONS, series.name)
+        return identify_response(series, settings)
     sampled = sampled_rows(series)
     if sampled is not None:
         # the others repeat them

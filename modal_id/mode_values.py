@@ -56,7 +56,10 @@ class SampledDraws:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Posterior(Table):
-    """emcee's draws of the frequency and damping ratio of one mode, ensembles kept apart.
+    """Draws of the frequency and damping ratio of one mode, ensembles kept apart.
+
+    They are emcee's, or those of a normal density where the modes respond to a measured input: `r_hat`, `ess`,
+    `autocorrelation_steps` and `acceptance` are then NaN.
 
     Attributes
     ----------
@@ -141,6 +144,8 @@ class Posterior(Table):
     def __repr__(self) -> str:
         ensembles, draws = self.frequency_hz.shape
         quality = f"R-hat {max(self.r_hat):.3f}, effective sample size {min(self.ess):.0f}"
+        if np.isnan(self.acceptance):
+            quality = "of a normal density"
         return f"Posterior: {ensembles} ensembles of {draws} draws, {quality}"
 
 

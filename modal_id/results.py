@@ -21,6 +21,7 @@ from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-ex
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Table, axes_or_new
 from modal_id.record import FittingRate, Onset, Segment
+from modal_id.response_values import FrequencyResponse
 from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, table_row
 
 # The series is part of an identification; packages that use results import it from here.
@@ -64,6 +65,11 @@ class IdentifiedMode(Table):
         Sentences for the report.
     decays : tuple of DecayValue
         Where several decays of the record show the mode: the values of each, which frequency and damping ratio combine.
+    participation, participation_sd : array, shape (k,), or None
+        With a measured input, and their standard deviations; NaN for channels not used. Of the motion of the base:
+        relative motion of the channel in this mode per motion of the base far above the resonance,
+        ``Gamma phi_k`` [1]. Of a force: modal constant ``phi_k phi_force / m``, in the unit of a channel per unit of
+        the force and s^2; at the channel where the force acts, 1 over it is the modal mass for ``phi = 1`` there.
     """
 
     shape: ComplexArray
@@ -79,6 +85,8 @@ class IdentifiedMode(Table):
     notes: tuple[str, ...] = ()
     severities: tuple[tuple[str, str], ...] = ()
     decays: tuple[DecayValue, ...] = ()
+    participation: FloatArray | None = None
+    participation_sd: FloatArray | None = None
 
     def severity_of(self, flag: str) -> Severity:
         """What a flag of this mode means for its values; the usual severity where its effect was not computed."""
@@ -294,6 +302,8 @@ class Identification(Table):
         of a mode is that of a sinusoid of the same power.
     checks : tuple of Check
         Those of `modal_id.modes.residual_checks`, where they were made.
+    response : FrequencyResponse or None
+        To the measured input; None where the series has none.
     """
 
     series: DisplacementSeries
@@ -311,6 +321,12 @@ class Identification(Table):
     checks: tuple[Check, ...] = ()
     fitting_rate: FittingRate | None = None
     ambient: AmbientRecord | None = None
+    response: FrequencyResponse | None = None
+
+    @property
+    def has_decay(self) -> bool:
+        """Whether free decays were fitted: not under ambient excitation, nor with a measured input."""
+        return self.ambient is None and self.response is None
 
     @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:
@@ -358,7 +374,10 @@ class Identification(Table):
         found = f"{len(self.modes)} mode{'' if len(self.modes) == 1 else 's'}"
         lost = f", {len(self.failed)} not identified" if self.failed else ""
         head = f"Identification of {self.series.name!r}: {found}{lost}, "
-        kind = "ambient excitation" if self.ambient else f"free decay from {self.onset.time_s:.5g} s"
+        if self.response is not None:
+            kind = f"driven by {self.response.input_name}"
+        else:
+            kind = "ambient excitation" if self.ambient else f"free decay from {self.onset.time_s:.5g} s"
         head += "driven throughout" if self.driven else kind
         return "\n  ".join([head, *(repr(mode) for mode in self.motions)])
 

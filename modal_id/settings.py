@@ -87,6 +87,12 @@ class IdentifyOptions(Options):
         examples=[6],
     )
 
+    output_only: bool = Field(
+        default=False,
+        description="Ignore a measured input: identify the outputs as if it were unknown.",
+        examples=[True],
+    )
+
     @model_validator(mode="after")
     def _ends_after_onset(self) -> Any:
         if self.onset_s is not None and self.end_s is not None and self.end_s <= self.onset_s:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modalcam.api import displacement as displacement
+    from modalcam.api import frf as frf
     from modalcam.api import identify as identify
     from modalcam.api import run as run
     from modalcam.api import track as track
@@ -42,6 +43,7 @@ __all__ = [
     "TrackingError",
     "__version__",
     "displacement",
+    "frf",
     "identify",
     "load_run",
     "modes",
@@ -55,6 +57,7 @@ _SOURCES = {
     "track": ("modalcam.api", "track"),
     "displacement": ("modalcam.api", "displacement"),
     "identify": ("modalcam.api", "identify"),
+    "frf": ("modalcam.api", "frf"),
     "Beam": ("sim.beam.beam", "Beam"),
     "modes": ("sim.beam.beam", "natural_modes"),
     "GenericDamping": ("sim.damping.models", "GenericDamping"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from modalcam.common import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
-    from modal_id import Identification
+    from modal_id import FrequencyResponse, Identification
     from modalcam.pipeline import Progress as RunProgress
     from modalcam.pipeline import RunResult
     from sim.beam import BeamModes
@@ -123,6 +124,61 @@ def displacement(
     return displacement_series(tracks, direction=direction, unit=unit)
 
 
+def frf(
+    series: DisplacementSeries | ArrayLike,
+    y: ArrayLike | None = None,
+    *,
+    input: ArrayLike,  # noqa: A002 - the field's word
+    **options: Any,
+) -> FrequencyResponse:
+    """Frequency response of the channels to a measured input, from the identified modes and without them.
+
+    Parameters
+    ----------
+    series, y, input
+        As in `identify`.
+    **options
+        The other arguments of `identify`: `input_unit`, `input_sd`, `unit`, `onset_s`, `end_s`, `seed` and so on.
+
+    Returns
+    -------
+    FrequencyResponse
+        Transmissibility (input in the unit of `y`) or receptance (force) of the fitted modes with a 90 % band of its
+        modulus, the local-polynomial estimate with its standard deviation, and the coherence; `to_dataframe` has one
+        row per channel and frequency. Where `input` is missing (NaN) it is taken from a spline through its neighbours.
+
+    Raises
+    ------
+    IdentificationError
+        As `identify`; without a mode there is no response.
+    ValueError
+        As `identify`.
+
+    Notes
+    -----
+    The local-polynomial estimate is biased towards zero by noise of the input, and where a resonance is narrower than
+    13 bins; see `modal_id.response.local_polynomial`. The response of the modes is not.
+
+    Examples
+    --------
+    A mode of 5 Hz and 1 % on a base that sweeps from 1 to 13 Hz:
+
+    >>> import numpy as np
+    >>> import modalcam as mc
+    >>> from scipy.signal import lsim
+    >>> t, omega = np.arange(4000) / 200.0, 2 * np.pi * 5
+    >>> base = np.sin(2 * np.pi * (1 + 0.3 * t) * t)
+    >>> y = lsim(([0.02 * omega, omega**2], [1, 0.02 * omega, omega**2]), base, t)[1]
+    >>> y += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    >>> response = mc.frf(t, y, input=base)
+    >>> peak = np.argmax(np.abs(response.model[:, 0]))
+    >>> round(float(response.frequency_hz[peak])), round(float(np.abs(response.model[peak, 0])))
+    (5, 50)
+    """
+    # Never None where an input is given.
+    return cast("FrequencyResponse", identify(series, y, input=input, **options).response)
+
+
 def identify(
     series: DisplacementSeries | ArrayLike,
     y: ArrayLike | None = None,
@@ -136,8 +192,11 @@ def identify(
     positions_mm: ArrayLike | None = None,
     seed: int = 0,
     excitation: Literal["free", "ambient"] = "free",
+    input: ArrayLike | None = None,  # noqa: A002 - the field's word
+    input_unit: str | None = None,
+    input_sd: float = float("nan"),
 ) -> Identification:
-    """Identify natural frequencies and damping ratios from a free decay, or from ambient vibration.
+    """Identify modes from a free decay, from ambient vibration, or from the response to a measured input.
 
     Parameters
     ----------
@@ -163,6 +222,13 @@ def identify(
         Seed of the sampler: the same input and seed give the same result.
     excitation : {"free", "ambient"}
         "ambient" for stationary motion under random forces that are not measured, such as wind; times are even then.
+    input : array, shape (n,), optional
+        What drives the channels of `y`, at the same times: the motion of the base, in the quantity and unit of `y`
+        (absolute or relative motion), or a force. The motion may then be anything.
+    input_unit : str, optional
+        Unit of `input`. Default: that of `y`, a motion of the base; any other means a force.
+    input_sd : float
+        Standard deviation of the noise of `input`; NaN where unknown: it is then taken from the floor of its spectrum.
 
     Returns
     -------
@@ -198,11 +264,16 @@ def identify(
     >>> mode = found.modes[0]
     >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
     (10.0, 1.0)
+
+    A beam whose clamp was filmed while it was shaken, ``base`` and ``y`` in mm:
+
+    >>> found = mc.identify(t, y, input=base)  # doctest: +SKIP
+    >>> found.modes[0].participation, found.modes[0].participation_sd  # doctest: +SKIP
     """
     from modal_id import IdentifySettings  # noqa: PLC0415
     from modal_id import identify as identify_series  # noqa: PLC0415
     from modalcam.config import expected_of_theory  # noqa: PLC0415
-    from tracker import DisplacementSeries, Failure  # noqa: PLC0415
+    from tracker import DisplacementSeries, Failure, KnownInput  # noqa: PLC0415
 
     if not isinstance(series, DisplacementSeries):
         series = _series(series, y, unit, positions_mm)
@@ -211,6 +282,11 @@ def identify(
             "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
         )
         raise ValueError(msg)
+    if input is not None:
+        given_unit = series.unit if input_unit is None else input_unit
+        values = np.asarray(input, dtype=np.float64)
+        known = KnownInput("input", values, given_unit, is_force=given_unit != series.unit, sd=input_sd)
+        series = replace(series, known_input=known)
     settings = IdentifySettings(
         **expected_of_theory(beam, series.positions_mm),
         mode=mode,

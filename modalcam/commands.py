@@ -172,13 +172,16 @@ def identify(
     unit: str,
     rate_hz: float | None = None,
     recording: RecordingConfig,
+    known_input: str | None = None,
+    input_unit: str | None = None,
 ) -> RunResult:
     """Identify the modes of a table of displacements (of the tracker or any other) or of a universal file; write OUT.
 
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
+    `known_input` names the channel that drives the others; with an `input_unit` other than theirs it is a force.
     """
-    from modalcam.inputs import motion_of  # noqa: PLC0415
+    from modalcam.inputs import motion_of, with_known_input  # noqa: PLC0415
     from modalcam.pipeline import (  # noqa: PLC0415
         compile_for,
         measure,
@@ -193,6 +196,8 @@ def identify(
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(path.name), recording_names([path.name])[0]
     motion = motion_of(path, name, given, options.limits, unit=unit, rate_hz=rate_hz)
+    if known_input is not None:
+        motion = with_known_input(motion, known_input, input_unit)
     for note in motion["series"].notes if "series" in motion else ():
         progress.note(f"note: {note}")
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)

@@ -31,6 +31,7 @@ SHARED = (
     "benchmarks.film_scenes.",
     "benchmarks.line_scenes.",
     "benchmarks.ambient_scenes.",
+    "benchmarks.known_input_scenes.",
     "benchmarks.camera_motion.",
     "benchmarks.random_records.",
     "benchmarks.converted_rates.",

@@ -27,6 +27,7 @@ from .results import DecodeReport as DecodeReport
 from .results import DisplacementSeries as DisplacementSeries
 from .results import FailedTracking as FailedTracking
 from .results import FrameStrip as FrameStrip
+from .results import KnownInput as KnownInput
 from .results import MarkerTracks as MarkerTracks
 from .results import Scale as Scale
 from .results import TimeAxis as TimeAxis

@@ -14,7 +14,7 @@ from tracker.arrays import BoolArray, FloatArray
 from tracker.geometry import Positions, median_over_time, row_delay_s, to_common_time
 from tracker.markers import kind_of
 from tracker.position_errors import position_errors
-from tracker.results import DisplacementSeries, MarkerTracks
+from tracker.results import DisplacementSeries, KnownInput, MarkerTracks
 from tracker.scale_change import MarkersInFrames, ScaleChange, possible_zoom, scale_change
 from tracker.template import largest_sd
 from tracker.vibration_direction import component, stronger_across, vibration_direction
@@ -104,7 +104,8 @@ def displacement_series(
     Lens distortion, in mm also an oblique view, the row delays of a rolling shutter, and slow changes of the image's
     scale that the spacing of the markers shows are corrected. Reference markers are averaged (weighted by inverse
     variance), subtracted from the others and omitted; a frame in which all references are missing is NaN. Each marker's
-    displacement is relative to its median.
+    displacement is relative to its median. Markers of `MarkerTracks.input` are averaged alike, and their motion is the
+    measured input of the others, from which it is not subtracted.
 
     Parameters
     ----------
@@ -124,19 +125,13 @@ def displacement_series(
     Raises
     ------
     ValueError
-        If a reference is not one of the markers, all markers are references, or mm are requested without scale.
+        If a reference or input is not one of the markers or is both, no marker is left, or mm are requested without
+        scale.
     """
     # Loads SciPy's interpolation, which a report whose figures are kept does without.
     from tracker.line import codec_skipped  # noqa: PLC0415
 
-    unknown = [name for name in tracks.reference if name not in tracks.markers]
-    if unknown:
-        msg = f"reference {', '.join(unknown)} is not among the markers {', '.join(tracks.markers)}"
-        raise ValueError(msg)
-    moving = np.array([name not in tracks.reference for name in tracks.markers])
-    if not moving.any():
-        msg = "every marker is a reference: at least one marker must be on the beam"
-        raise ValueError(msg)
+    fixed, driving, moving = _roles(tracks)
     chosen_unit = unit or ("mm" if tracks.scale is not None else "px")
     if chosen_unit not in ("mm", "px"):
         msg = f"unit must be 'mm' or 'px', got {chosen_unit!r}"
@@ -158,8 +153,8 @@ def displacement_series(
             f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is shifted to the time of the middle row.",
         )
     reference = None
-    if not moving.all():
-        reference = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
+    if fixed.any():
+        reference = _mean_reference(xy[:, :, fixed], variance[:, :, fixed])
         xy, variance = xy - reference[0][:, :, None], variance + reference[1][:, :, None]
         notes = (*notes, f"The motion of {', '.join(tracks.reference)} is subtracted.")
     left_out = (tracks.flags & flags.LEFT_OUT) > 0
@@ -169,6 +164,7 @@ def displacement_series(
     rest, centred = _centred(xy)
     del xy
     every = centred, variance
+    drive = _mean_reference(centred[:, :, driving], variance[:, :, driving]) if driving.any() else None
     if not moving.all():
         centred, variance = centred[:, :, moving], variance[:, :, moving]
     frame_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0
@@ -184,6 +180,9 @@ def displacement_series(
         values, sd = values / scale, sd / scale
     notes = (*notes, *zoom_notes)
     del every
+    known_input = None
+    if drive is not None:
+        known_input = _known_input(tracks, component(unit_vector, *drive), zoom, chosen_unit)
     base, base_sd = (None, None) if reference is None else component(unit_vector, *reference)
     follows_line = kind_of(tracks.kind).follows_line
     return DisplacementSeries(
@@ -198,6 +197,7 @@ def displacement_series(
         notes=notes,
         base=base,
         base_sd=base_sd,
+        known_input=known_input,
         rate_sd_ppm=tracks.time_axis.rate_sd_ppm,
         scale_change=zoom,
         misleading=(*misleading_lost_markers(tracks), *(codec_skipped(tracks) if follows_line else ())),
@@ -216,6 +216,37 @@ def displacement_series(
             alike=follows_line and tracks.decode.lossy,
         ),
     )
+
+
+def _roles(tracks: MarkerTracks) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Which markers are references, which are inputs, and which are on the beam; shape (m,) each."""
+    roles = {"reference": tracks.reference, "input": tracks.input}
+    for role, names in roles.items():
+        unknown = [name for name in names if name not in tracks.markers]
+        if unknown:
+            msg = f"{role} {', '.join(unknown)} is not among the markers {', '.join(tracks.markers)}"
+            raise ValueError(msg)
+    if both := sorted(set(tracks.reference) & set(tracks.input)):
+        msg = f"{', '.join(both)} is a reference, which does not move, and an input: give one of the two"
+        raise ValueError(msg)
+    fixed, driving = (np.isin(np.array(tracks.markers), names) for names in roles.values())
+    moving = ~(fixed | driving)
+    if not moving.any():
+        msg = "every marker is a reference or an input: at least one marker must be on the beam"
+        raise ValueError(msg)
+    return fixed, driving, moving
+
+
+def _known_input(
+    tracks: MarkerTracks, motion: tuple[FloatArray, FloatArray], zoom: ScaleChange | None, unit: str
+) -> KnownInput:
+    """The motion of the input markers along the direction of the vibration."""
+    values, sd = motion
+    if zoom is not None:
+        scale = zoom.scale(tracks.time_s)
+        values, sd = values / scale, sd / scale
+    noise = float(np.median(sd[np.isfinite(sd)])) if np.isfinite(sd).any() else float("nan")
+    return KnownInput(", ".join(tracks.input), values, unit, sd=noise)
 
 
 def _lens_notes(tracks: MarkerTracks) -> tuple[str, ...]:

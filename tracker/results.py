@@ -170,6 +170,8 @@ class MarkerTracks:
         None when neither the user nor a marker of known size gives one.
     reference : tuple of str
         Fixed markers, whose motion is subtracted from the displacement of the others.
+    input : tuple of str
+        Markers on the clamp, whose motion is the measured input of the others.
     first_frame : uint8 array or None, shape (height, width)
         The first good frame, stretched to 8 bit, for display.
     notes : tuple of str
@@ -206,6 +208,7 @@ class MarkerTracks:
     time_axis: TimeAxis
     decode: DecodeReport
     reference: tuple[str, ...] = ()
+    input: tuple[str, ...] = ()
     first_frame: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
     strip: FrameStrip | None = None
@@ -305,6 +308,30 @@ class FailedTracking(Failure):
     proposed_px: FloatArray | None = None
 
 
+@dataclass(frozen=True, repr=False, eq=False)
+class KnownInput:
+    """Measured motion of the base, or force, that drives the channels of a series.
+
+    Attributes
+    ----------
+    name : str
+    values : array, shape (n,)
+        At the times of the series; NaN where missing.
+    unit : str
+        A motion of the base has the quantity and unit of the channels.
+    is_force : bool
+        Whether it is a force on the structure instead of the motion of its base.
+    sd : float
+        Standard deviation of its noise; NaN where unknown.
+    """
+
+    name: str
+    values: FloatArray
+    unit: str
+    is_force: bool = False
+    sd: float = float("nan")
+
+
 @dataclass(frozen=True, repr=False)
 class DisplacementSeries:
     """Displacements of k channels at n times: the input from which `modal_id` identifies modes.
@@ -337,6 +364,8 @@ class DisplacementSeries:
         Change of the image's scale for which `values` are corrected; None where there is none.
     misleading : tuple of (str, str)
         Channels that must not be fitted although they have values, each with the reason.
+    known_input : KnownInput or None
+        What drives the channels, where it was measured: the modes are then those of the response to it.
     """
 
     name: str
@@ -354,9 +383,16 @@ class DisplacementSeries:
     position_errors: PositionErrors | None = None
     scale_change: ScaleChange | None = None
     misleading: tuple[tuple[str, str], ...] = ()
+    known_input: KnownInput | None = None
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)
+        if self.known_input is not None and self.known_input.values.shape != (n,):
+            msg = (
+                f"the input {self.known_input.name} must have one value at each of the {n} times of the channels, got "
+                f"shape {self.known_input.values.shape}; bring both to the same clock and length first"
+            )
+            raise ValueError(msg)
         expected = {"values": (n, k), "sd": (n, k), "base": (n,), "base_sd": (n,), "positions_mm": (k,)}
         for name, shape in expected.items():
             array = getattr(self, name)

@@ -197,6 +197,12 @@ class MarkerOptions(Options):
         "displacement of the others.",
         examples=[["m1"]],
     )
+    input: tuple[str, ...] = Field(
+        default=(),
+        description="Names of markers on the clamp: their motion is the measured input that drives the others, and the "
+        "modes are those of the response to it. The motion may then be anything, such as a sweep or shaking by hand.",
+        examples=[["m1"]],
+    )
     leave_out_px: tuple[Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)], ...] = Field(
         default=(),
         description="Regions in which no markers are sought, each by two opposite corners: reflections, scales, codes "

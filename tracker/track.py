@@ -203,6 +203,7 @@ def assemble(
             reordered=info.reordered,
         ),
         reference=settings.reference,
+        input=settings.input,
         first_frame=first_frame,
         notes=(
             *info.notes,

@@ -135,6 +135,19 @@ def identify(
             "--rate", min=1e-9, max=1e12, metavar="HZ", help="Samples per second, of a table without times."
         ),
     ] = None,
+    known_input: Annotated[
+        str | None,
+        typer.Option(
+            "--input", metavar="COLUMN", help="Channel that drives the others: base motion or force."
+        ),
+    ] = None,
+    output_only: Annotated[
+        bool, typer.Option("--output-only", help="Ignore a measured input: identify the outputs alone.")
+    ] = False,
+    input_unit: Annotated[
+        str | None,
+        typer.Option("--input-unit", help="Its unit, if not that of the others: it is a force then."),
+    ] = None,
     json_: Json = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -158,8 +171,18 @@ def identify(
     }
     if excitation is not None:
         given["excitation"] = excitation
+    if output_only:
+        given["output_only"] = True
     recording = parse_recording(given, where="command line")
-    command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
+    command = partial(
+        commands.identify,
+        file,
+        unit=unit,
+        rate_hz=rate,
+        recording=recording,
+        known_input=known_input,
+        input_unit=input_unit,
+    )
     options = run_options(out or results_folder(file), jobs=1, **common)
     compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict)
 

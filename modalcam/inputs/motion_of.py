@@ -32,7 +32,8 @@ def motion_of(
         motion["series"] = read_uff(path, name=name, unit=unit, positions_mm=positions_mm)
     elif is_tracks(table := _table(path, rate_hz, limits)):
         reference = given.reference or ()
-        motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
+        tracks = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
+        motion["tracks"] = replace(tracks, input=given.input or ())
     else:
         motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
     return _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from tracker import (
     TRACK_COLUMNS,
     DecodeReport,
     DisplacementSeries,
+    KnownInput,
     MarkerTracks,
     Scale,
     TimeAxis,
@@ -104,6 +106,42 @@ def series_from_table(
         positions_mm=positions,
         notes=tuple(notes),
     )
+
+
+def with_known_input(motion: dict[str, Any], channel: str, unit: str | None) -> dict[str, Any]:
+    """The motion of a file with one of its channels as the input that drives the others; InputError if it has none.
+
+    Its noise is the median of its stated standard deviations, unknown where none is stated.
+    """
+    series = motion.get("series")
+    if series is None:
+        msg = "--input takes a channel of a series; of tracks, write the displacements of markers and base to a table"
+        raise InputError(msg)
+    if channel not in series.channels or len(series.channels) < 2:
+        found = ", ".join(series.channels)
+        msg = f"{series.name}: --input {shown(channel)}: expected one of at least two channels, found {shown(found)}"
+        raise InputError(msg)
+    at = series.channels.index(channel)
+    others = np.arange(len(series.channels)) != at
+    own = series.unit if unit is None else unit
+    sd = series.sd[np.isfinite(series.sd[:, at]), at]
+    known = KnownInput(
+        channel,
+        series.values[:, at],
+        own,
+        is_force=own != series.unit,
+        sd=float(np.median(sd)) if sd.size else float("nan"),
+    )
+    return {
+        "series": replace(
+            series,
+            channels=tuple(name for name in series.channels if name != channel),
+            values=series.values[:, others],
+            sd=series.sd[:, others],
+            positions_mm=series.positions_mm[others],
+            known_input=known,
+        )
+    }
 
 
 def channel_positions(positions_mm: tuple[float, ...] | None, count: int, found: str) -> NDArray[np.float64]:

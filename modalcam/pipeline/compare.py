@@ -92,8 +92,8 @@ def compare_recordings(
 
     def compared(recording: RecordingResult) -> Mapping[str, Any] | None:
         found = recording.identified
-        # An ambient record holds no decay; its damping ratios are in `measured`.
-        is_decay = found is not None and bool(found.modes) and found.ambient is None
+        # The damping ratios of a record without a decay are in `measured`.
+        is_decay = found is not None and bool(found.modes) and found.has_decay
         return {"identification": found, **common} if is_decay else None
 
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))

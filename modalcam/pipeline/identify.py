@@ -85,7 +85,7 @@ def identify_series(
     found = identify(series, settings)
     if isinstance(found, Identification):
         found = correct_amplitudes(found, exposure_s)
-        if found.ambient is not None:
+        if not found.has_decay:
             # The checks and the delay of the rows are those of a fitted decay.
             return found
         note = "" if rows is None else readout_note(found, rows.at_rest_px, rows.height_px)

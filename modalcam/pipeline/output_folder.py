@@ -82,6 +82,10 @@ class Workspace:
         """Universal file of one recording's series and mode shapes."""
         return self._within(self.out / "universal", f"{name}.uff")
 
+    def response(self, name: str) -> Path:
+        """CSV of the frequency response of one recording to its measured input."""
+        return self._within(self.out / "response", f"{name}.csv")
+
     def state(self, name: str, stage: str) -> Path:
         """Saved result of one stage of one recording (or of the beam, under a name that no recording has)."""
         return self._within(self._state, f"{name}.{stage}.npz")

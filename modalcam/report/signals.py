@@ -194,10 +194,10 @@ def _spans(found: Identification, mode: IdentifiedMode, channel: int) -> tuple[F
 
 
 def stability_of(found: Identification) -> StabilityDiagram | None:
-    """Poles of the samples that were fitted; None without modes, and where the samples are too few."""
+    """Poles of the samples that were fitted; None without modes or with a measured input, and for too few samples."""
     chosen = np.flatnonzero(found.channels_used)
     rows = np.flatnonzero(found.used[:, chosen].any(axis=1))
-    if not found.modes or rows.size < 2:
+    if not found.modes or rows.size < 2 or found.response is not None:
         return None
     cells = np.ix_(rows, chosen)
     fitted = found.used & np.isfinite(found.series.values)

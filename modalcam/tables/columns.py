@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from modal_id import DAMPING, MODE_COLUMNS
+from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS
 from sim.updating import UPDATING_COLUMNS
 from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
@@ -32,6 +32,26 @@ SHAPE_COLUMNS = (
     Column("curvature_1_m2", "1/m²", "second derivative of `shape` by the distance from the clamp"),
     Column("curvature_sd_1_m2", "1/m²", "its standard deviation"),
 )
+# Of a `Participation`.
+PARTICIPATION_COLUMNS = (
+    _RECORDING,
+    replace(_MODE, text="number of the beam's mode; empty where unknown", get=lambda at: at.mode.number),
+    Column("frequency_hz", "Hz", "as in `modes.csv`", lambda at: at.mode.frequency_hz),
+    Column("channel", "", "name of the output"),
+    Column(
+        "participation",
+        "unit",
+        "relative motion in the mode per motion of the base far above the resonance; of a force, the modal constant",
+    ),
+    Column("participation_sd", "unit", "its standard deviation"),
+    Column("unit", "", "unit of the participation"),
+    Column(
+        "modal_mass",
+        "1/unit",
+        "modal mass for a shape of 1 here, at the channel where the force acts; NaN for a base",
+    ),
+    Column("modal_mass_sd", "1/unit", "its standard deviation"),
+)
 # Of the drag in one recording: in summary.json only.
 DRAG_COLUMNS = (
     Column("drag_coefficient", "1", "coefficient for the width of the beam"),
@@ -45,6 +65,8 @@ TABLES: Mapping[str, tuple[Column, ...]] = {
     "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),
     "modes.csv": (_RECORDING, *MODE_COLUMNS),
     "shapes.csv": SHAPE_COLUMNS,
+    "response/*.csv": RESPONSE_COLUMNS,
+    "participation.csv": PARTICIPATION_COLUMNS,
     "comparison.csv": COMPARISON_COLUMNS,
     "updating.csv": UPDATING_COLUMNS,
     "summary.json, drag": (_RECORDING, _MODE, *DRAG_COLUMNS),

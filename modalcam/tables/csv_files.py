@@ -25,7 +25,7 @@ _FRAMES_AT_ONCE = 20_000
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
     """One row per frame and marker; NaN where missing, names of flags joined by ``|``."""
-    _write(path, tracks.tables(_FRAMES_AT_ONCE))
+    write_table(path, tracks.tables(_FRAMES_AT_ONCE))
 
 
 def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
@@ -70,25 +70,26 @@ def table_writer(
     columns: tuple[Column, ...],
 ) -> Writer:
     """Writer of one table of the whole run, `NAME.csv`, from its rows."""
-    return _table(name, description, lambda result: _frame(rows(result), columns))
+    return _table(name, description, lambda result: frame(rows(result), columns))
 
 
 def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFrame]) -> Writer:
     """Writer of one table of the whole run."""
 
     def outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
-        yield Output(workspace.out / f"{name}.csv", result, lambda path: _write(path, [table(result)]))
+        yield Output(workspace.out / f"{name}.csv", result, lambda path: write_table(path, [table(result)]))
 
     return Writer(name, f"{name}.csv", description, outputs)
 
 
-def _frame(rows: Iterable[dict[str, Any]], columns: tuple[Column, ...]) -> pd.DataFrame:
+def frame(rows: Iterable[dict[str, Any]], columns: tuple[Column, ...]) -> pd.DataFrame:
+    """A table with these columns."""
     import pandas as pd  # noqa: PLC0415 - slow to import, and only a table that is written needs it
 
     return pd.DataFrame(list(rows), columns=pd.Index([column.name for column in columns]))
 
 
-def _write(path: Path, parts: Iterable[pd.DataFrame]) -> None:
+def write_table(path: Path, parts: Iterable[pd.DataFrame]) -> None:
     """Write a table, in parts, in which no text, wherever it comes from, is a formula of a spreadsheet."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         for index, part in enumerate(parts):

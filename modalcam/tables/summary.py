@@ -115,6 +115,7 @@ def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
         "damping_ratio_interval_99": mode.damping_interval(0.99),
         **table_row((*SMALL_FREQUENCY, *SMALL_DAMPING), mode),
         **_fields(mode, "shape shape_sd mac amplitude_dependence decays flags severities notes"),
+        **({} if mode.participation is None else _fields(mode, "participation participation_sd")),
         "nodes": [node._asdict() for node in find_nodes(series.positions_mm, mode.shape, mode.shape_sd)],
         "sampler": _fields(
             mode.posterior,

@@ -1,4 +1,4 @@
-"""Universal files (UFF) in ASCII: time series as dataset 58, mode shapes as 55, nodes as 15, their unit as 164.
+"""Universal files (UFF) in ASCII: series and responses as dataset 58, mode shapes as 55, nodes as 15, units as 164.
 
 A universal file cannot hold missing samples: a channel with gaps is written without them, on uneven abscissae.
 """
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from modal_id import Identification, IdentifiedMode
+from modal_id import FrequencyResponse, Identification, IdentifiedMode
 from modal_id.solve import pole
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace, replacing
@@ -25,6 +25,9 @@ _TIME_AXIS = 17
 _LENGTH_EXPONENT = 1
 _COMPLEX_MODE, _TRANSLATIONS, _STRUCTURAL = 3, 2, 1
 _DISPLACEMENT = 8
+_FREQUENCY_AXIS, _FORCE = 18, 13
+# Types of a function.
+_FRF, _TRANSMISSIBILITY = 4, 5
 # Times are written one by one if start and increment, as written, miss one by more than this share of a step.
 _EVEN = 1e-4
 # Values are divided by these factors for SI units.
@@ -60,6 +63,9 @@ def write_uff(path: Path, found: Identification) -> None:
         with temporary.open("a", encoding="ascii", newline="\n") as file:
             for k in range(len(found.series.channels)):
                 file.writelines(f"{line}\n" for line in _function(found.series, k))
+            if found.response is not None:
+                for k in range(len(found.response.channels)):
+                    file.writelines(f"{line}\n" for line in _response(found.series, found.response, k))
 
 
 def _function(series: DisplacementSeries, k: int) -> Iterator[str]:
@@ -92,6 +98,39 @@ def _function(series: DisplacementSeries, k: int) -> Iterator[str]:
     else:
         pairs = (f"{_real13(t)}{v:20.12E}" for t, v in zip(time_s, values, strict=True))
         yield from ("".join(line) for line in zip_longest(pairs, pairs, fillvalue=""))
+    yield f"{-1:6d}"
+
+
+def _response(series: DisplacementSeries, response: FrequencyResponse, k: int) -> Iterator[str]:
+    """Lines of dataset 58 of the response of the fitted modes at a channel: complex, at uneven frequencies."""
+    known = series.known_input
+    is_force = known is not None and known.is_force
+    name, values = response.channels[k], response.model[:, k]
+    node = series.channels.index(name) + 1
+    direction, entity = _direction(series), _text(response.input_name, 10)
+    kind = _FRF if is_force else _TRANSMISSIBILITY
+    yield from (
+        f"{-1:6d}",
+        f"{58:6d}",
+        _text(f"response of {name} to {response.input_name}, {series.name}", 80),
+        _text(f"of the fitted modes; unit {response.unit}", 80),
+        "NONE",
+        "NONE",
+        "NONE",
+        f"{kind:5d}{node:10d}{0:5d}{0:10d} {_text(name, 10):<10s}{node:10d}{direction:4d} {entity:<10s}{0:10d}{0:4d}",
+        f"{6:10d}{values.size:10d}{0:10d}{_real13(0.0)}{_real13(0.0)}{_real13(0.0)}",
+        _axis(_FREQUENCY_AXIS, 0, "Frequency", "Hz"),
+        _axis(_DISPLACEMENT, _LENGTH_EXPONENT, "Displacement", _text(series.unit, 20)),
+        _axis(
+            _FORCE if is_force else _DISPLACEMENT,
+            0 if is_force else _LENGTH_EXPONENT,
+            "Input",
+            "NONE" if known is None else _text(known.unit, 20),
+        ),
+        _axis(0, 0, "NONE", "NONE"),
+    )
+    pairs = zip(response.frequency_hz, values, strict=True)
+    yield from (f"{_real13(hz)}{value.real:20.12E}{value.imag:20.12E}" for hz, value in pairs)
     yield f"{-1:6d}"
 
 
@@ -186,7 +225,8 @@ UNIVERSAL = Writer(
     "universal",
     "universal/<recording>.uff",
     "universal file in ASCII: the series (dataset 58, one per marker, missing samples omitted) and the complex mode "
-    "shapes (dataset 55, analysis type 3, six digits) on their nodes (datasets 15 and 164)",
+    "shapes (dataset 55, analysis type 3, six digits) on their nodes (datasets 15 and 164); with a measured input, the "
+    "responses (dataset 58, function type 4 for a force, 5 for a base)",
     _outputs,
     libraries=("pyuff",),
     extra="uff",

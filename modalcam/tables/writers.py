@@ -11,7 +11,7 @@ from dataclasses import replace
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace
 from modalcam.tables import csv_files as tables
-from modalcam.tables import first_frame, netcdf, shapes, uff
+from modalcam.tables import first_frame, netcdf, response, shapes, uff
 from modalcam.tables.base import Output, Writer
 from modalcam.tables.summary import CONFIG, SUMMARY
 
@@ -25,6 +25,8 @@ WRITERS: dict[str, Writer] = {
         uff.UNIVERSAL,
         tables.MODES,
         shapes.SHAPES,
+        response.RESPONSE,
+        response.PARTICIPATION,
         tables.COMPARISON,
         tables.UPDATING,
         SUMMARY,

@@ -65,7 +65,7 @@ def test_missing_and_repeated_frames_are_nan():
 def test_reference_markers_must_exist_and_leave_a_marker():
     with pytest.raises(ValueError, match="not among the markers"):
         displacement_series(tracks(reference=("m9",)))
-    with pytest.raises(ValueError, match="every marker is a reference"):
+    with pytest.raises(ValueError, match="every marker is a reference or an input"):
         displacement_series(tracks(reference=("m1", "m2", "m3")))
 
 
@@ -162,3 +162,36 @@ def test_position_errors_depend_on_the_codec():
     errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
     assert errors.shrinkage == pytest.approx(0.01 * position_errors.TUNING.shrinkage)
     assert errors.lag == pytest.approx(0.0)
+
+
+def test_an_input_marker_gives_the_motion_of_the_base():
+    """The base moves all markers; the input is its motion along the vibration, and is not subtracted."""
+    series = displacement_series(replace(tracks(), input=("m3",)), direction=(1.0, 0.0))
+    assert series.channels == ("m1", "m2")
+    assert series.base is None
+    known, t = series.known_input, np.arange(200) / 100
+    expected = 0.2 * np.cos(3 * t)
+    np.testing.assert_allclose(known.values, expected - np.median(expected), atol=1e-9)
+    assert known.sd == pytest.approx(0.01)
+    assert known.unit == series.unit
+    both = np.sin(7 * t) + expected
+    np.testing.assert_allclose(series.values[:, 0], both - np.median(both), atol=1e-9)
+
+
+def test_a_reference_is_subtracted_from_an_input_as_well():
+    series = displacement_series(replace(tracks(reference=("m3",)), input=("m1",)), direction=(1.0, 0.0))
+    assert series.channels == ("m2",)
+    np.testing.assert_allclose(series.known_input.values, 0.5 * series.values[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "reference", "words"),
+    [
+        (("m9",), (), "input m9 is not among"),
+        (("m3",), ("m3",), "m3 is a reference"),
+        (("m1", "m2", "m3"), (), "input"),
+    ],
+)
+def test_inputs_that_cannot_be_used_are_refused(names, reference, words):
+    with pytest.raises(ValueError, match=words):
+        displacement_series(replace(tracks(reference=reference), input=names))

@@ -267,7 +267,9 @@ class DotKind(MarkerKind):
         """Detector of dots; "auto" prefers given points to dots."""
         if auto and settings.points_px:
             return None
-        return DotDetector(settings.positions_mm, settings.clamp_side, keep_still=bool(settings.reference))
+        return DotDetector(
+            settings.positions_mm, settings.clamp_side, keep_still=bool(settings.reference or settings.input)
+        )
 
     def covers(self, u: FloatArray, v: FloatArray, half_u: float, half_v: float) -> BoolArray:  # noqa: ARG002 - round
         """Points within a disc."""

@@ -49,6 +49,7 @@ class DetectionSettings(Protocol):
     feature: Literal["strip", "edge", "auto"]
     mm_per_px: float | None
     reference: tuple[str, ...]
+    input: tuple[str, ...]
     leave_out_px: tuple[tuple[tuple[float, float], ...], ...]
     clamp_side: Literal["top", "bottom", "left", "right"] | None
 

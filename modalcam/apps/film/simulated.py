@@ -129,7 +129,7 @@ def film_simulation(
     images = np.stack(list(render_frames(staged.scene, staged.camera, footage.time_s, rng)))
     assert tracks.scale is not None  # noqa: S101 - without one there is no scene
     scale = tracks.scale.mm_per_px
-    moving = np.array([name not in tracks.reference for name in tracks.markers])
+    moving = np.array([name not in (*tracks.reference, *tracks.input) for name in tracks.markers])
     measured = np.stack([tracks.x_px[footage.frame], tracks.y_px[footage.frame]], axis=-1)[:, moving]
     centres, rest = staged.centres_px[:, moving], staged.rest_px[moving]
     squares = np.sum((measured - centres) ** 2, axis=-1)

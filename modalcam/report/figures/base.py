@@ -56,7 +56,7 @@ class RecordingSubject:
     def decaying(self) -> Target | None:
         """The mode shown, where the record holds its free decay."""
         target = self.target()
-        return None if target is None or target.found.ambient is not None else target
+        return None if target is None or not target.found.has_decay else target
 
 
 @dataclass(frozen=True)

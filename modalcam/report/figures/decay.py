@@ -97,8 +97,8 @@ def _finish(
 ) -> None:
     # Titles stand on the side where the label of the onset is not.
     middle_s = 0.5 * (series.time_s[0] + series.time_s[-1])
-    right = found is not None and found.onset.time_s < middle_s
-    if found is not None:
+    right = found is not None and found.has_decay and found.onset.time_s < middle_s
+    if found is not None and found.has_decay:
         onset_line(axes, found.onset.time_s, label=label)
     axes.set_title(title, fontweight="normal", pad=2, loc="right" if right else "left")
     few_ticks(axes, x=7, y=3)

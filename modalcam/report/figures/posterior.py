@@ -108,7 +108,9 @@ _LAGS = 100
 
 
 def converged(mode: IdentifiedMode) -> bool:
-    """Whether R-hat is near 1 and the chain long enough, so that the draws need no inspection."""
+    """Whether R-hat is near 1 and the chain long enough, or there is no chain, so that the draws need no inspection."""
+    if np.isnan(mode.posterior.acceptance):
+        return True
     r_hat = [value for value in mode.posterior.r_hat if np.isfinite(value)]
     return max(r_hat, default=np.inf) < TUNING.r_hat and ModeFlag.CHAIN_TOO_SHORT.name not in mode.flags
 

@@ -14,6 +14,7 @@ from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE
 from modalcam.report.figures.frequency import SPECTRUM, STABILITY
 from modalcam.report.figures.instantaneous import INSTANTANEOUS
 from modalcam.report.figures.posterior import POSTERIOR, TRACE
+from modalcam.report.figures.response import RESPONSE
 from modalcam.report.figures.shape import SHAPE, WATERFALL
 from modalcam.report.figures.simulated import SIMULATED
 from modalcam.report.figures.tracking import TRACKING
@@ -23,6 +24,7 @@ from modalcam.report.style import FigureView
 _RECORDING = (
     DECAY,
     AMBIENT,
+    RESPONSE,
     POSTERIOR,
     CLOSE_UP,
     ENVELOPE,

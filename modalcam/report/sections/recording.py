@@ -116,6 +116,7 @@ def recording_view(
         "found": found,
         "mode": mode,
         "main": main,
+        "participations": [] if found is None else _participations(found),
         "others": [] if found is None else [m for m in found.modes if m not in main],
         "tracks": tracks,
         "comparison": recording.comparison if mode and recording.comparison else None,
@@ -138,6 +139,23 @@ def recording_view(
         "moving": moving_shape(subject) if detail.figures else None,
         "sections": _sections(recording, cache) if detail.diagnostics else [],
     }
+
+
+def _participations(found: Identification) -> list[tuple[IdentifiedMode, str, float, float]]:
+    """Each mode that a measured input drives, with the channel of the largest participation, its value and sd."""
+    rows = []
+    for mode in found.modes:
+        if mode.participation is not None and mode.participation_sd is not None:
+            k = int(np.nanargmax(np.abs(mode.participation)))
+            rows.append(
+                (
+                    mode,
+                    found.series.channels[k],
+                    float(mode.participation[k]),
+                    float(mode.participation_sd[k]),
+                )
+            )
+    return rows
 
 
 def _segments(found: Identification) -> list[tuple[Segment, str]]:

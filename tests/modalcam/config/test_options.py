@@ -38,6 +38,7 @@ REQUIRED = {
     "recordings.end_s": {"file": "a.avi"},
     "recordings.components": {"file": "a.avi"},
     "recordings.excitation": {"file": "a.avi"},
+    "recordings.output_only": {"file": "a.avi"},
 }
 
 

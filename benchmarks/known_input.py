@@ -1,0 +1,138 @@
+"""Records with a measured base motion, simulated: errors, intervals and computing time of the identified modes.
+
+``python -m benchmarks.known_input --records 30 > known_input.jsonl`` prints a JSON line a record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+from benchmarks.known_input_scenes import (
+    DAMPING_RATIOS,
+    FREQUENCIES_HZ,
+    KINDS,
+    MODES,
+    NOISE_MM,
+    PARTICIPATION,
+    RATE_HZ,
+    motion,
+    record,
+)
+from modal_id import Identification, identify
+from tracker import DisplacementSeries, KnownInput
+
+#: Correlation of neighbouring noise values, noise of the input, whether its sd is stated.
+CONDITIONS = (
+    (0.0, 0.0, True),
+    (0.8, 0.0, True),
+    (0.0, NOISE_MM, True),
+    (0.0, 0.0, False),
+    (0.0, NOISE_MM, False),
+)
+
+
+def bound(kind: str, seed: int, correlation: float) -> dict[str, tuple[float, float]]:
+    """Cramer-Rao bound of frequency and damping ratio of each mode, for an input without noise.
+
+    Free are, as in the fit, for each marker the factors of the base motion, of its second derivative, of a cubic drift,
+    of the response of each mode and its quadrature, and of its free decay. Slopes are differences of simulations.
+    """
+
+    def whitened(columns: np.ndarray) -> np.ndarray:
+        # The innovations of the noise, whose variance is NOISE_MM^2 (1 - correlation^2).
+        sd = NOISE_MM * np.sqrt(1.0 - correlation**2)
+        return np.asarray(lfilter([1.0, -correlation], [1.0], columns, axis=0)[1:]) / sd
+
+    def simulated(modes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        return motion(kind, np.random.default_rng([seed, KINDS.index(kind)]), modes)
+
+    base, responses = simulated(MODES)
+    time_s = np.arange(base.size) / RATE_HZ
+    slopes = []
+    for index, value in enumerate(MODES):
+        step = 1e-4 * value
+        up, down = (
+            simulated((*MODES[:index], value + turn * step, *MODES[index + 1 :]))[1][:, index % 2]
+            for turn in (1, -1)
+        )
+        slopes.append((up - down) / (2.0 * step))
+    omega = 2.0 * np.pi * FREQUENCIES_HZ
+    free = np.exp(np.outer(time_s, omega * (-DAMPING_RATIOS + 1j * np.sqrt(1.0 - DAMPING_RATIOS**2))))
+    # Central differences would lose a tenth of the slope at the end of the sweep, and the bound a fifth.
+    linear = [base[:, None], CubicSpline(time_s, base)(time_s, 2)[:, None], np.vander(time_s / time_s[-1], 4)]
+    # With the base motion, the slope is that of the resonant part: its second column.
+    linear += [responses, CubicSpline(time_s, responses + base[:, None])(time_s, 1), free.real, free.imag]
+    columns = whitened(np.column_stack(linear))
+    basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]
+    information = np.zeros((4, 4))
+    for of_marker in PARTICIPATION.T:
+        own = whitened(np.column_stack(slopes) * np.tile(of_marker, 2))
+        own -= basis @ (basis.T @ own)
+        information += own.T @ own
+    sd = np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True)))
+    return {f"{hz:g}": (float(sd[k]), float(sd[2 + k])) for k, hz in enumerate(FREQUENCIES_HZ)}
+
+
+def measured(
+    kind: str, seed: int, correlation: float, input_noise_mm: float, *, stated: bool
+) -> dict[str, object]:
+    """Errors over standard deviations and over the bound of the modes found in one record, and its computing time."""
+    one = record(kind, seed, input_noise_mm=input_noise_mm, correlation=correlation)
+    series = DisplacementSeries(
+        name=kind,
+        time_s=one.time_s,
+        channels=("y1", "y2", "y3"),
+        values=one.values,
+        sd=np.full(one.values.shape, np.nan),
+        unit="mm",
+        positions_mm=np.full(3, np.nan),
+        known_input=KnownInput("base", one.base, "mm", sd=input_noise_mm if stated else float("nan")),
+    )
+    start = time.process_time()
+    found = identify(series)
+    modes = found.modes if isinstance(found, Identification) else ()
+    cpu_s = time.process_time() - start
+    limits = bound(kind, seed, correlation) if input_noise_mm == 0.0 else {}
+    scores: dict[str, list[float]] = {}
+    over_bound: dict[str, list[float]] = {}
+    for hz, zeta in zip(FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):
+        for m in (m for m in modes if abs(m.frequency_hz - hz) < 0.1 * hz):
+            z = (m.frequency_hz - hz) / m.frequency_sd_hz, (m.damping_ratio - zeta) / m.damping_ratio_sd
+            scores[f"{hz:g}"] = [float(value) for value in z]
+            if limits:
+                errors = np.array([m.frequency_hz - hz, m.damping_ratio - zeta])
+                over_bound[f"{hz:g}"] = (errors / limits[f"{hz:g}"]).tolist()
+    return {
+        "kind": kind,
+        "seed": seed,
+        "input_noise_mm": input_noise_mm,
+        "correlation": correlation,
+        "stated": stated,
+        "flags": sorted({flag for m in modes for flag in m.flags}),
+        "modes": len(modes),
+        "z": scores,
+        "over_bound": over_bound,
+        "cpu_s": cpu_s,
+    }
+
+
+def main() -> None:
+    """Print a JSON line for each record."""
+    parser = argparse.ArgumentParser(description="Modes from the response to a measured input, simulated.")
+    parser.add_argument("--records", type=int, default=30, help="Records of each kind and noise.")
+    count = parser.parse_args().records
+    for condition in CONDITIONS:
+        for kind in (*KINDS[:3], *KINDS[4:]):
+            for seed in range(count):
+                sys.stdout.write(json.dumps(measured(kind, seed, *condition[:2], stated=condition[2])) + "\n")
+
+
+if __name__ == "__main__":
+    main()

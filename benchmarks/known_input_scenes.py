@@ -1,0 +1,113 @@
+"""Records with a measured base motion and their truth.
+
+The truth is a sum of sinusoids, whose response from rest is known in closed form, or a sweep, integrated by
+`scipy.integrate.solve_ivp`. Neither uses the splines of `modal_id.response`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+FREQUENCIES_HZ, DAMPING_RATIOS = np.array([6.4, 38.7]), np.array([0.009, 0.004])
+#: Relative motion of three markers in each mode for a unit base motion far above the resonance.
+PARTICIPATION = np.array([[1.57, 0.86, 0.31], [-0.87, 0.43, 0.39]])
+RATE_HZ, SPAN_S, NOISE_MM = 400.0, 20.0, 0.02
+KINDS = ("sweep", "random", "hand", "decay", "broad")
+#: Frequencies in Hz, then damping ratios.
+MODES = (*FREQUENCIES_HZ, *DAMPING_RATIOS)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One simulated record, in s and mm: base motion and absolute motion of the markers with their noise."""
+
+    time_s: np.ndarray
+    base: np.ndarray
+    values: np.ndarray
+
+
+@lru_cache(maxsize=16)
+def _sweep(modes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Base motion of 3 to 45 Hz that fades in, and the modes' responses to it."""
+    time_s, span_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ, SPAN_S
+    omega, ratios = 2.0 * np.pi * np.array(modes[:2]), np.array(modes[2:])
+    rate = 2.0 * np.pi * 42.0 / span_s
+
+    def base(t: np.ndarray | float) -> np.ndarray:
+        return (
+            0.2 * (1.0 - np.exp(-((np.asarray(t) / 0.3) ** 4))) * np.sin(6.0 * np.pi * t + 0.5 * rate * t**2)
+        )
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        # Relative coordinate plus base motion, x'' = -w^2 (x - u) - 2 zeta w (x' - u'), with v = x' - 2 zeta w u.
+        x, v, two = y[:2], y[2:], 2.0 * ratios * omega
+        u = float(base(t))
+        return np.concatenate([v + two * u, -(omega**2) * (x - u) - two * (v + two * u)])
+
+    found = solve_ivp(slope, (0.0, time_s[-1]), np.zeros(4), "DOP853", time_s, rtol=1e-10, atol=1e-12)
+    u = base(time_s)
+    return u, found.y[:2].T - u[:, None]
+
+
+@lru_cache(maxsize=1)
+def _waves(lines: tuple[float, ...]) -> np.ndarray:
+    return np.exp(np.outer(np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ, 2j * np.pi * np.array(lines)))
+
+
+def _sinusoids(
+    kind: str, generator: np.random.Generator, modes: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A random base motion from rest of the beam, and the modes' responses to it."""
+    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
+    low, high, size = {"random": (2.0, 60.0, 0.15), "broad": (0.5, 195.0, 0.27), "hand": (0.6, 12.0, 0.6)}[
+        kind
+    ]
+    # Not periodic in the record.
+    lines = np.sort(generator.uniform(low, high, 400))
+    factor = generator.standard_normal((400, 2)) @ np.array([1.0, 1j]) * size / np.sqrt(400)
+    if kind == "hand":
+        factor = factor / (1.0 + (lines / 3.0) ** 2)
+    s = 2j * np.pi * lines
+    waves = _waves(tuple(lines))
+    base = np.real(waves @ factor)
+    responses = []
+    for hz, zeta in zip(modes[:2], modes[2:], strict=True):
+        omega = 2.0 * np.pi * hz
+        gain = -(s**2) / (s**2 + 2.0 * zeta * omega * s + omega**2)
+        steady, start, speed = waves @ (gain * factor), np.sum(gain * factor), np.sum(s * gain * factor)
+        pole = -zeta * omega + 1j * omega * np.sqrt(1.0 - zeta**2)
+        # Free motion that makes the beam start at rest relative to the base.
+        a = -start.real
+        b = (-speed.real - pole.real * a) / pole.imag
+        responses.append(steady.real + np.real((a - 1j * b) * np.exp(pole * time_s)))
+    return base, np.column_stack(responses)
+
+
+def motion(
+    kind: str, generator: np.random.Generator, modes: tuple[float, ...] = MODES
+) -> tuple[np.ndarray, np.ndarray]:
+    """Base motion, and the motion of the modes relative to it for a unit participation; frequencies, damping ratios."""
+    return _sweep(modes) if kind == "sweep" else _sinusoids(kind, generator, modes)
+
+
+def record(
+    kind: str, seed: int, *, noise_mm: float = NOISE_MM, input_noise_mm: float = 0.0, correlation: float = 0.0
+) -> Record:
+    """A record of a kind in `KINDS`; noise is white or AR(1) with this correlation of neighbours."""
+    generator = np.random.default_rng([seed, KINDS.index(kind)])
+    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
+    if kind == "decay":
+        base = np.zeros(time_s.size)
+        poles = 2.0 * np.pi * FREQUENCIES_HZ * (-DAMPING_RATIOS + 1j * np.sqrt(1.0 - DAMPING_RATIOS**2))
+        modes = np.real(np.exp(np.outer(time_s, poles))) * [3.0, 1.0]
+    else:
+        base, modes = motion(kind, generator)
+    white = generator.standard_normal((time_s.size, 3)) * np.sqrt(1.0 - correlation**2)
+    noise = lfilter([1.0], [1.0, -correlation], white, axis=0)
+    values = base[:, None] + modes @ PARTICIPATION + noise_mm * noise
+    return Record(time_s, base + input_noise_mm * generator.standard_normal(time_s.size), values)

@@ -1,0 +1,5 @@
+"""Modes of the response to a measured input: motion of the base, or a force."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

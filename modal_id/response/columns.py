@@ -1,0 +1,184 @@
+"""Known input: samples, their transform, and the linear columns of modes that the input drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.fft import irfft, rfft
+
+from modal_id.response.duhamel import Drive, drive
+from modal_id.solve import mode_functions
+from tracker import BoolArray, ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Slow columns."""
+
+    #: [1] degree of the polynomial of the drift
+    #: physics: The transform leaks the steps of the drift's value and first derivatives between both ends.
+    drift_degree: int = 3
+
+
+TUNING = Tuning()
+
+#: Columns beside those of the modes: the input, its second derivative (the modes above the band), the polynomial.
+FIXED = 2 + TUNING.drift_degree + 1
+#: Columns of a mode: real and imaginary parts of the response to the input and of the free decay.
+OF_MODE = 4
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Outputs and input at the same times, compared in a band of the bins of a Fourier transform over the samples.
+
+    The transform is orthogonal, and the columns are computed in time and transformed like the outputs: no window, no
+    leakage, and no assumption of a periodic input. Uneven times only blur the frequency that belongs to a bin.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+    values : array, shape (n, k)
+        Outputs; where they are missing, any value.
+    given : bool array, shape (n, k)
+    input : array, shape (n,)
+    first, last : int
+        Bins compared.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+    given: BoolArray
+    input: FloatArray
+    first: int
+    last: int
+
+    @cached_property
+    def drive(self) -> Drive:
+        """The input between its samples."""
+        return drive(self.time_s, self.input)
+
+    @property
+    def span_s(self) -> float:
+        """From the first time to the last."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def step_s(self) -> float:
+        """Mean time step."""
+        return self.span_s / (self.time_s.size - 1)
+
+    @cached_property
+    def frequency_hz(self) -> FloatArray:
+        """Of the bins compared; shape (b,)."""
+        n = self.time_s.size
+        return np.arange(self.first, self.last) * (n - 1) / (n * self.span_s)
+
+    @cached_property
+    def share_given(self) -> FloatArray:
+        """Share of the samples of each output that is not missing; shape (k,)."""
+        return np.asarray(np.mean(self.given, axis=0))
+
+    def bins(self, values: FloatArray) -> ComplexArray:
+        """Transform of columns, shape (n, c), at the bins; the parts of white noise keep its variance."""
+        found = rfft(values, axis=0)[self.first : self.last]
+        return np.asarray(found * np.sqrt(2.0 / values.shape[0]))
+
+    def rows(self, values: FloatArray) -> FloatArray:
+        """Real parts of the transform above imaginary parts; shape (2 b, c)."""
+        found = self.bins(values)
+        return np.concatenate([found.real, found.imag])
+
+    @cached_property
+    def outputs(self) -> FloatArray:
+        """Outputs as `rows`, shape (2 b, k)."""
+        return self.rows(self.values)
+
+    @cached_property
+    def input_bins(self) -> ComplexArray:
+        """Transform of the input at the bins; shape (b,)."""
+        return self.bins(self.drive.at_samples()[:, None])[:, 0]
+
+    @cached_property
+    def content_bins(self) -> ComplexArray:
+        """Transform of the input less what the jump between its ends leaks to all frequencies; shape (b,).
+
+        A line makes the value the same at both ends; slopes are too noisy to be made the same.
+        """
+        values = self.drive.at_samples()
+        line = (values[-1] - values[0]) * (self.time_s - self.time_s[0]) / self.span_s
+        return self.bins((values - line)[:, None])[:, 0]
+
+    def to_time(self, bins: ComplexArray) -> FloatArray:
+        """The series, shape (n,), whose transform is `bins` in the band and 0 elsewhere."""
+        whole = np.zeros(self.time_s.size // 2 + 1, dtype=complex)
+        whole[self.first : self.last] = bins / np.sqrt(2.0 / self.time_s.size)
+        return np.asarray(irfft(whole, self.time_s.size))
+
+    def with_input(self, values: FloatArray) -> Samples:
+        """The same with another input."""
+        return replace(self, input=values)
+
+    def in_time(self, poles: ComplexArray) -> FloatArray:
+        """Columns of the fit, shape (n, FIXED + OF_MODE m): input, its second derivative, drift, four of each mode."""
+        unit = 2.0 * (self.time_s - self.time_s[0]) / self.span_s - 1.0
+        values = self.drive.at_samples()
+        found = [values[:, None], self.drive.curvature()[:, None], legvander(unit, TUNING.drift_degree)]
+        return np.column_stack([*found, *(self.of_mode(pole) for pole in poles)])
+
+    def of_mode(self, pole: complex) -> FloatArray:
+        """The four columns of a mode: parts of the response to the input, and of the free decay; shape (n, OF_MODE)."""
+        free = mode_functions(self.time_s - self.time_s[0], np.array([pole]))[:, 0]
+        driven = self.drive.response(pole)
+        return np.column_stack([driven.real, driven.imag, free.real, free.imag])
+
+    def columns(self, poles: ComplexArray) -> FloatArray:
+        """The same as `rows`."""
+        return self.rows(self.in_time(poles))
+
+    def slopes(self, poles: ComplexArray) -> FloatArray:
+        """Derivatives of the modes' four columns with respect to Re lambda, as `rows`; shape (2 b, OF_MODE m)."""
+        functions = mode_functions(self.time_s - self.time_s[0], poles)
+        elapsed = self.time_s - self.time_s[0]
+        found = [np.empty((elapsed.size, 0))]
+        for index, pole in enumerate(poles):
+            driven, free = self.drive.slope(pole), elapsed * functions[:, index]
+            found.append(np.column_stack([driven.real, driven.imag, free.real, free.imag]))
+        return self.rows(np.column_stack(found))
+
+
+def amplitudes(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Complex factors, shape (m, k), of the response to the input and of the free decay of each mode.
+
+    From coefficients of shape (FIXED + OF_MODE m, k): output k moves as ``Re(factor function)``.
+    """
+    own = coefficients[FIXED:].reshape(-1, OF_MODE, coefficients.shape[1])
+    return own[:, 0] - 1j * own[:, 1], own[:, 2] - 1j * own[:, 3]
+
+
+def spline_gain(frequency_hz: FloatArray, step_s: float) -> FloatArray:
+    """Share of a sinusoid that a cubic spline through its samples contains: ``1 - (w h)^4 / 720``, to lowest order.
+
+    The cardinal spline of doi:10.1109/79.799930.
+    """
+    x = frequency_hz * step_s
+    return np.asarray(np.sinc(x) ** 4 * 3.0 / (2.0 + np.cos(2.0 * np.pi * x)))
+
+
+def transfer(
+    frequency_hz: FloatArray, poles: ComplexArray, direct: FloatArray, driven: ComplexArray
+) -> ComplexArray:
+    """Frequency response ``g - w^2 h + sum of (c / (i w - lambda) + c* / (i w - lambda*)) / 2``; shape (b, k).
+
+    `direct`, shape (2, k), is g and h; `driven`, shape (m, k), is c.
+    """
+    s = 2j * np.pi * frequency_hz[:, None]
+    return np.asarray(
+        direct[0]
+        + s**2 * direct[1]
+        + 0.5 * (1.0 / (s - poles)) @ driven
+        + 0.5 * (1.0 / (s - np.conj(poles))) @ np.conj(driven)
+    )

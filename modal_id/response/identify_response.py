@@ -1,0 +1,435 @@
+"""Identification of a series whose input was measured: modes, participation and frequency response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from modal_id.data import MIN_SAMPLES, Prepared, prepare, runs
+from modal_id.flags import ModeFlag
+from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.posterior import MUCH_LEFT, with_rate_error
+from modal_id.record import Onset, Segment
+from modal_id.response.candidates import candidates
+from modal_id.response.columns import Samples
+from modal_id.response.frf import TUNING as FRF
+from modal_id.response.frf import coherence, local_polynomial, model_bands
+from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.noise import InputNoise
+from modal_id.response.solution import ResponseFit, left_at_mode
+from modal_id.response_values import FrequencyResponse
+from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
+from modal_id.settings import IdentifySettings
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import DisplacementSeries, Failure, FloatArray, KnownInput
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Band of the fit, and what a mode and an input must be to be used."""
+
+    #: [1] highest frequency of the fit over the Nyquist frequency
+    #: physics: Above it the spline through the input loses more than 4 % of it.
+    highest: float = 0.6
+    #: [1] rows with omitted ones over given rows above which the record is refused
+    most_rows: float = 1.5
+    #: [samples] shortest run at an extreme value that is clipped
+    least_run: int = 3
+    #: [1] resolutions between a clipped value and those beside the run
+    #: physics: A parabola that is constant to one resolution over three samples falls by less than five to the next.
+    steps: float = 5.0
+    #: [1] share of missing input samples above which the record is refused
+    most_missing: float = 0.1
+    #: [1] relative sd of the damping ratio above which a mode is not determined
+    #: statistics: Its 90 % interval would reach half of the value.
+    most_relative_sd: float = 0.3
+    #: [1] draws of the posterior
+    draws: int = 4000
+
+
+TUNING = Tuning()
+_ENSEMBLES = 4
+_ACCELERATION = frozenset({"m/s^2", "m/s²", "m/s2", "mm/s^2", "g"})
+
+
+def identify_response(series: DisplacementSeries, settings: IdentifySettings) -> Identification | Failure:
+    """Identify the modes of a series from its response to `DisplacementSeries.known_input`.
+
+    The motion may be anything the input causes (a sweep, random, by hand), with free decay of what moved before, in one
+    record. Uneven times are integrated as they are; missing samples of the outputs are left out, those of the input are
+    taken from a spline through its neighbours. Of `settings`, `max_modes`, `reject_hz`, `onset_s`, `end_s` and the seed
+    are used.
+
+    Returns
+    -------
+    Identification or Failure
+        The latter where the input does not move, is clipped or has gaps, or where no mode exceeds the noise.
+
+    Notes
+    -----
+    The posterior is normal in the pole: the record determines it to a few per cent or the mode is refused. Damping is
+    that of a linear system, biased where it depends on the amplitude.
+    """
+    known = series.known_input
+    if known is None:
+        msg = f"{series.name}: the series has no known_input"
+        raise ValueError(msg)
+    prepared = prepare(series)
+    if isinstance(prepared, str):
+        return Failure(prepared, series.name)
+    samples = _samples(series, prepared, known, settings)
+    if isinstance(samples, str):
+        return Failure(samples, series.name)
+    rows, data = samples
+    found = fit_response(data, settings.max_modes, _lowest_hz(settings), known.sd)
+    if found is None:
+        reason = (
+            f"no mode exceeds the noise in the response to {known.name}; excite the structure over the frequencies of "
+            "its modes, or identify the outputs alone"
+        )
+        return Failure(reason, series.name)
+    return with_rate_error(_assembled(series, prepared, rows, known, found, settings))
+
+
+def _lowest_hz(settings: IdentifySettings) -> float:
+    """Well below the lowest mode in theory, 0 where none is given."""
+    return 0.4 * min(settings.expected_frequencies_hz, default=0.0)
+
+
+def _samples(
+    series: DisplacementSeries, prepared: Prepared, known: KnownInput, settings: IdentifySettings
+) -> tuple[slice, Samples] | str:
+    """Rows of the series and samples of the fit, or why there are none."""
+    first = prepared.first_row
+    end_s = np.inf if settings.end_s is None else settings.end_s
+    inside = (series.time_s >= (settings.onset_s or -np.inf)) & (series.time_s <= end_s)
+    inside[:first] = False
+    inside[first + prepared.repeated.size :] = False
+    used = np.flatnonzero(inside)
+    if used.size < MIN_SAMPLES:
+        return f"only {used.size} samples lie within onset_s and end_s, but at least {MIN_SAMPLES} are needed"
+    rows = slice(int(used[0]), int(used[-1]) + 1)
+    values = known.values[rows]
+    seen = np.isfinite(values)
+    if np.mean(seen) < 1.0 - TUNING.most_missing:
+        return (
+            f"the input {known.name} is missing in {100.0 * np.mean(~seen):.0f} % of the samples, more than "
+            f"{100.0 * TUNING.most_missing:.0f} %: record it throughout, or identify the outputs alone"
+        )
+    spread = float(np.std(values[seen]))
+    if np.ptp(values[seen]) == 0.0 or spread < 2.0 * known.sd:
+        return (
+            f"the input {known.name} does not move (standard deviation {spread:.3g} {known.unit}, noise "
+            f"{known.sd:.3g}): identify the outputs alone, as a free decay"
+        )
+    if _is_clipped(values[seen]):
+        return (
+            f"the input {known.name} is clipped: many samples share its extreme value, so that the true input is not "
+            "known; reduce the amplitude or use a larger range"
+        )
+    own = slice(rows.start - first, rows.stop - first)
+    time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
+    if time_s.size > TUNING.most_rows * values.size:
+        return (
+            f"the samples lie in bursts: {time_s.size - values.size} of {time_s.size} are missing at their usual step; "
+            "give one burst by onset_s and end_s"
+        )
+    given = np.zeros((time_s.size, prepared.channels.size), dtype=bool)
+    outputs, full = np.zeros(given.shape), np.full(time_s.size, np.nan)
+    given[places] = prepared.data.weights[own] > 0.0
+    outputs[places], full[places] = prepared.data.values[own], values
+    # Missing outputs begin at a straight line between their neighbours; the fit replaces them by its own motion.
+    for out, seen_here in enumerate(given.T):
+        outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
+    highest = int(TUNING.highest * time_s.size / 2)
+    return rows, Samples(time_s, outputs, given, full, 0, highest)
+
+
+def _is_clipped(values: FloatArray) -> bool:
+    """Whether the input stays at an extreme value to which it came in larger steps than its resolution.
+
+    A slow or coarsely quantised peak also repeats its extreme value, but leaves it by one or two steps.
+    """
+    steps = np.diff(np.unique(values))
+    for turned in (values, -values):
+        top = float(np.max(turned))
+        for start, end in runs(turned == top):
+            beside = np.append(turned[max(start - 1, 0) : start], turned[end : end + 1])
+            if (
+                end - start >= TUNING.least_run
+                and beside.size
+                and np.all(top - beside > TUNING.steps * np.min(steps))
+            ):
+                return True
+    return False
+
+
+def _with_omitted_rows(time_s: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Times with those of omitted samples inserted, and the places of the given ones: bins then are frequencies."""
+    steps = np.diff(time_s)
+    counts = np.maximum(np.round(steps / np.median(steps)), 1.0).astype(np.intp)
+    places = np.concatenate([[0], np.cumsum(counts)])
+    return np.interp(np.arange(places[-1] + 1), places, time_s), places
+
+
+def _assembled(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    rows: slice,
+    known: KnownInput,
+    found: ResponseFit,
+    settings: IdentifySettings,
+) -> Identification:
+    samples, k = found.samples, len(series.channels)
+    cells = np.ix_(np.arange(rows.start, rows.stop), prepared.channels)
+    places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])[1]
+    columns = samples.in_time(found.poles)[places]
+    fitted, baseline, used = (np.full((series.time_s.size, k), np.nan) for _ in range(3))
+    fitted[cells] = columns @ found.coefficients
+    baseline[cells] = columns[:, 2:6] @ found.coefficients[2:6]
+    used[cells] = given = samples.given[places]
+    residual_sd = np.full(k, np.nan)
+    residual_sd[prepared.channels] = np.sqrt(
+        np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
+    )
+    listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
+    modes, failed = _numbered(listed, samples, settings)
+    start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
+    note = f"The response to {known.name} was fitted, from the first sample to the last."
+    return Identification(
+        series=series,
+        onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
+        modes=modes,
+        failed=failed,
+        fitted=fitted,
+        baseline=baseline,
+        used=used == 1.0,
+        residual_sd=residual_sd,
+        channels_used=np.isin(np.arange(k), prepared.channels),
+        notes=(
+            *series.notes,
+            *prepared.notes,
+            note,
+            *_notes(known, found),
+            *_unexplained(found, _lowest_hz(settings)),
+        ),
+        segments=(Segment("driven", start_s, end_s, note),),
+        response=_response(series, prepared, known, found, settings),
+    )
+
+
+def _mode(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    known: KnownInput,
+    found: ResponseFit,
+    index: int,
+    settings: IdentifySettings,
+) -> IdentifiedMode | FailedMode:
+    pole = complex(found.poles[index])
+    factor, left = left_at_mode(found, index)
+    own = factor * found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
+    hz, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
+    slopes = np.array(
+        [
+            [pole.real / abs(pole) / (2.0 * np.pi), pole.imag / abs(pole) / (2.0 * np.pi)],
+            [-(pole.imag**2) / abs(pole) ** 3, pole.real * pole.imag / abs(pole) ** 3],
+        ]
+    )
+    sd = np.sqrt(np.diag(slopes @ own @ slopes.T))
+    if sd[1] > TUNING.most_relative_sd * zeta:
+        reason = (
+            f"the response does not determine its damping ratio ({zeta:.3g}, sd {sd[1]:.2g}): excite it longer or more "
+            "strongly"
+        )
+        return FailedMode(reason, frequency_hz=hz)
+    driven = found.driven[index]
+    values, errors = participation(
+        found, index, is_force=known.is_force, of_acceleration=series.unit in _ACCELERATION
+    )
+    z = found.samples.drive.response(pole)
+    largest = z[int(np.argmax(np.abs(z)))]
+    k = len(series.channels)
+    shape, shape_sd = np.full(k, complex(np.nan, np.nan)), np.full(k, np.nan)
+    shape[prepared.channels] = driven * largest
+    shape_sd[prepared.channels] = errors / np.maximum(np.abs(values), 1e-300) * np.abs(driven * largest)
+    all_values, all_errors = np.full(k, np.nan), np.full(k, np.nan)
+    all_values[prepared.channels], all_errors[prepared.channels] = values, np.sqrt(factor) * errors
+    flags = (ModeFlag.RESIDUAL_AT_MODE,) if left > MUCH_LEFT else ()
+    return IdentifiedMode(
+        shape=shape,
+        shape_sd=shape_sd,
+        amplitude=float(np.nanmax(np.abs(shape))),
+        amplitude_unit=series.unit,
+        posterior=_posterior(pole, own, (float(sd[0]), float(sd[1])), factor, index, settings),
+        flags=tuple(flag.name for flag in flags),
+        notes=tuple(flag.value for flag in flags),
+        severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
+        participation=all_values,
+        participation_sd=all_errors,
+    )
+
+
+def _numbered(
+    listed: list[IdentifiedMode | FailedMode], samples: Samples, settings: IdentifySettings
+) -> tuple[tuple[IdentifiedMode, ...], tuple[FailedMode, ...]]:
+    """Modes with their numbers in theory, the requested or strongest one marked, and those that are not listed."""
+    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
+    failed = [one for one in listed if isinstance(one, FailedMode)]
+    if not modes:
+        return (), tuple(failed)
+    frequencies = np.array([mode.frequency_hz for mode in modes])
+    shapes = np.stack([mode.shape for mode in modes])
+    strength = np.array([mode.amplitude for mode in modes])
+    rejected = rejected_modes(frequencies, settings)
+    numbers, macs = (found := number_modes(frequencies, shapes, strength, settings)).numbers, found.macs
+    choice = choose_target_of(
+        rejected, frequencies, shapes, strength, numbers, settings, 1.0 / samples.step_s
+    )
+    if choice.index is None:
+        failed.append(
+            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+        )
+    kept = []
+    for index, mode in enumerate(modes):
+        if rejected[index]:
+            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=mode.frequency_hz))
+            continue
+        kept.append(replace(mode, number=numbers[index], target=index == choice.index, mac=macs[index]))
+        if words := shape_disagreement(mode.shape, mode.shape_sd, numbers[index], settings):
+            flag = ModeFlag.SHAPE_DISAGREES
+            kept[-1] = replace(
+                kept[-1],
+                flags=(*mode.flags, flag.name),
+                notes=(*mode.notes, flag.value, words),
+                severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
+            )
+    return tuple(kept), tuple(failed)
+
+
+def participation(
+    found: ResponseFit, index: int, *, is_force: bool, of_acceleration: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Participation of the outputs in a mode and its standard deviation, shape (k,) each; see `IdentifiedMode`.
+
+    The residue of ``-p s^2 / (s^2 + 2 zeta w s + w^2)`` (base) or ``p / (...)`` (force) at the pole is c / 2. The real
+    part: the imaginary part is 0 for modes of proportional damping and synchronous channels.
+    """
+    pole = found.poles[index]
+    factor = 1j * pole.imag
+    if not is_force:
+        factor = -factor / pole**2
+    elif of_acceleration:
+        factor = factor / pole**2
+    driven = found.driven[index]
+    first = found.coefficients.shape[0] - 4 * (found.poles.size - index)
+    # c = a - i b; Re(factor c) = Re(factor) a + Im(factor) b.
+    weights = np.array([factor.real, factor.imag])
+    variance = [
+        weights @ own[first : first + 2, first : first + 2] @ weights for own in found.coefficient_covariance
+    ]
+    return np.real(factor * driven), np.sqrt(np.array(variance))
+
+
+def _posterior(
+    pole: complex,
+    covariance: FloatArray,
+    sd: tuple[float, float],
+    factor: float,
+    index: int,
+    settings: IdentifySettings,
+) -> Posterior:
+    """Draws of frequency and damping ratio for a normal pole; there is no chain, and its diagnostics are NaN."""
+    seed = (settings.seed, *settings.seed_key, index)
+    generator = np.random.default_rng(seed)
+    scores = ndtri((np.arange(TUNING.draws) + 0.5) / TUNING.draws)
+    normal = np.column_stack([generator.permutation(scores) for _ in range(2)])
+    values, vectors = np.linalg.eigh(covariance)
+    moved = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    poles = (pole + moved[:, 0] + 1j * moved[:, 1]).reshape(_ENSEMBLES, -1)
+    nan = float("nan")
+    return Posterior(
+        frequency_hz=frequency_hz(poles),
+        damping_ratio=damping_ratio(poles),
+        r_hat=(nan, nan),
+        ess=(nan, nan),
+        autocorrelation_steps=nan,
+        acceptance=nan,
+        noise_factor=float(np.sqrt(factor)),
+        systematic_frequency_hz=0.0,
+        systematic_damping_ratio=0.0,
+        laplace_sd=sd,
+        seed=seed,
+    )
+
+
+def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
+    if found.noise.input == 0.0:
+        return ()
+    sd = float(np.sqrt(found.noise.input))
+    given = InputNoise.of(found.samples, known.sd)
+    at = frequency_hz(found.poles)
+    ratio = (found.noise.input if given.known else given.variance) * np.abs(found.transfer(at)) ** 2
+    own = np.column_stack([np.interp(at, found.samples.frequency_hz, o) for o in found.noise.output.T])
+    most = at[np.any(ratio > own, axis=1)]
+    if not most.size:
+        return ()
+    if not given.known:
+        unknown = (
+            f"The noise of the input {known.name} is unknown: its spectrum has no flat floor. What the fit leaves at "
+            f"the resonances gives {sd:.2g} {known.unit}, at most {np.sqrt(given.variance):.2g}. Give it: record the "
+            "input at rest for a second, and state its standard deviation."
+        )
+        return (unknown,)
+    names = ", ".join(f"{hz:.4g} Hz" for hz in most)
+    note = (
+        f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {given.text}) exceeds that of the outputs at the "
+        f"resonance of {names}: it was corrected for, and determines the intervals. A less noisy sensor narrows them."
+    )
+    return (note,)
+
+
+def _unexplained(found: ResponseFit, lowest_hz: float) -> tuple[str, ...]:
+    """A note where what the fit leaves looks like the response of a mode that is not listed."""
+    places = candidates(found, lowest_hz, criterion(found.samples))
+    if not places:
+        return ()
+    names = ", ".join(f"{hz:.4g} Hz" for hz in sorted(frequency_hz(np.array(places))))
+    note = (
+        f"What the fit leaves near {names} follows the input as a mode would, but the record does not determine one: a "
+        "mode is missing, or the motion is not linear. Allow more modes (max_modes), or excite it longer."
+    )
+    return (note,)
+
+
+def _response(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    known: KnownInput,
+    found: ResponseFit,
+    settings: IdentifySettings,
+) -> FrequencyResponse:
+    samples = found.samples
+    step = max(1, samples.frequency_hz.size // FRF.frequencies)
+    # Bins near a resonance, which a coarser grid would miss, are kept.
+    distance = np.abs(samples.frequency_hz[:, None] - frequency_hz(found.poles))
+    near = np.any(distance < 3.0 * np.abs(found.poles.real) / np.pi + 3.0 / samples.span_s, axis=1)
+    kept = np.flatnonzero((np.arange(samples.frequency_hz.size) % step == 0) | near)
+    grid = samples.frequency_hz[kept]
+    local, local_sd = local_polynomial(samples)
+    low, high = model_bands(found, grid, [settings.seed, *settings.seed_key])
+    return FrequencyResponse(
+        frequency_hz=grid,
+        channels=tuple(series.channels[i] for i in prepared.channels),
+        input_name=known.name,
+        unit="1" if known.unit == series.unit else f"{series.unit}/{known.unit}",
+        model=found.transfer(grid),
+        magnitude_q05=low,
+        magnitude_q95=high,
+        local=local[kept],
+        local_sd=local_sd[kept],
+        coherence=coherence(samples)[kept],
+    )

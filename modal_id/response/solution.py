@@ -1,0 +1,279 @@
+"""Coefficients of the response at given poles, by instrumental variables, and the covariance of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from modal_id.response.columns import FIXED, OF_MODE, Samples, amplitudes, spline_gain, transfer
+from modal_id.response.noise import TUNING as NOISE
+from modal_id.response.noise import Noise
+from tracker import BoolArray, ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the fit may leave at a mode."""
+
+    #: [1] half-widths of a mode within which the residual is compared with the noise
+    #: physics: Four fifths of the power of a resonance.
+    half_widths: float = 3.0
+    #: [bins] at least on both sides
+    least_bins: int = 4
+    #: [1] probability with which noise alone exceeds the power from which standard deviations are increased
+    #: statistics: One mode in a hundred is widened by chance.
+    false_alarm: float = 0.01
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """Poles and coefficients that fit the outputs to the measured input.
+
+    Attributes
+    ----------
+    samples : Samples
+    likely : Samples
+        With the most likely input, given outputs and measured input.
+    poles : complex array, shape (m,)
+    coefficients : array, shape (FIXED + OF_MODE m, k)
+    residual : array, shape (2 b, k)
+        As `Samples.rows`.
+    weights : array, shape (b, k)
+        Inverse variance of the residual.
+    leverage : array, shape (b, k)
+        Share of the noise of each bin that the parameters absorb.
+    noise : Noise
+    covariance : array, shape (2 m, 2 m)
+        Of (Re, Im) of each pole in turn.
+    coefficient_covariance : array, shape (k, p, p)
+        Of the coefficients of each output, uncertainty of the poles included.
+    coefficient_slopes : array, shape (k, p, 2 m)
+        Change of the best coefficients with (Re, Im) of the poles.
+    step : array, shape (2 m,)
+        Change of (Re, Im) of the poles that the score asks for.
+    """
+
+    samples: Samples
+    likely: Samples
+    poles: ComplexArray
+    coefficients: FloatArray
+    residual: FloatArray
+    weights: FloatArray
+    leverage: FloatArray
+    noise: Noise
+    covariance: FloatArray
+    coefficient_covariance: FloatArray
+    coefficient_slopes: FloatArray
+    step: FloatArray
+
+    @property
+    def driven(self) -> ComplexArray:
+        """Factors of the responses to a band-limited input, larger than that to its spline; shape (m, k)."""
+        loss = spline_gain(np.abs(self.poles) / (2.0 * np.pi), self.samples.step_s)
+        return np.asarray(amplitudes(self.coefficients)[0] * loss[:, None])
+
+    @property
+    def residual_bins(self) -> ComplexArray:
+        """The residual as complex bins; shape (b, k)."""
+        half = self.residual.shape[0] // 2
+        return np.asarray(self.residual[:half] + 1j * self.residual[half:])
+
+    def transfer(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Frequency response of each output; shape (frequencies, k)."""
+        return transfer(frequency_hz, self.poles, self.coefficients[:2], self.driven)
+
+
+@dataclass(frozen=True)
+class _Output:
+    """One output at given poles: coefficients of the scaled columns, and what the poles can change beyond them.
+
+    Attributes
+    ----------
+    coefficients : array, shape (p,)
+    inverse : array, shape (p, p)
+        Of the normal equations.
+    residual : array, shape (2 b,)
+    carried : array, shape (p, 2 m)
+        Less the change of the coefficients with the poles.
+    rest : array, shape (2 b, 2 m)
+        Change of the motion with the poles that the coefficients cannot follow.
+    information : array, shape (2 m, 2 m)
+    gradient : array, shape (2 m,)
+    absorbed : array, shape (2 b,)
+        Share of the noise that the coefficients absorb.
+    """
+
+    coefficients: FloatArray
+    inverse: FloatArray
+    residual: FloatArray
+    carried: FloatArray
+    rest: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+    absorbed: FloatArray
+
+
+def solve_at(
+    samples: Samples, likely: Samples, poles: ComplexArray, noise: Noise, weights: FloatArray
+) -> ResponseFit:
+    """Coefficients at given poles: the instruments are the columns of `likely`, whose input is the most likely one."""
+    columns, scale = scaled(samples.columns(poles))
+    instruments = columns if likely is samples else likely.columns(poles) / scale
+    slopes = likely.slopes(poles)
+    both = np.concatenate([weights, weights])
+    outputs = [
+        _output(columns, instruments, samples.outputs[:, out], slopes, scale, both[:, out])
+        for out in range(both.shape[1])
+    ]
+    coefficients = np.column_stack([one.coefficients for one in outputs]) / scale[:, None]
+    response = transfer(samples.frequency_hz, poles, coefficients[:2], amplitudes(coefficients)[0])
+    share = samples.share_given
+    information = sum(s * one.information for s, one in zip(share, outputs, strict=True))
+    gradient = sum(s * one.gradient for s, one in zip(share, outputs, strict=True))
+    inverted = np.linalg.pinv(np.asarray(information))
+    covariance = inverted @ _scatter(outputs, noise, weights, response, share) @ inverted.T
+    covariance = 0.5 * (covariance + covariance.T)
+    leverage = np.empty(weights.shape)
+    of_coefficients = np.empty((len(outputs), scale.size, scale.size))
+    for out, one in enumerate(outputs):
+        hat = one.absorbed + np.sum(one.rest @ covariance * one.rest, axis=1) * both[:, out]
+        leverage[:, out] = 0.5 * (hat[: hat.size // 2] + hat[hat.size // 2 :])
+        variance = noise.output[:, out] + noise.input * np.abs(response[:, out]) ** 2
+        factor = np.concatenate([weights[:, out] ** 2 * variance] * 2)
+        middle = (instruments * factor[:, None]).T @ instruments / share[out]
+        own = one.inverse @ middle @ one.inverse.T + one.carried @ covariance @ one.carried.T
+        of_coefficients[out] = own / scale[:, None] / scale
+    return ResponseFit(
+        samples=samples,
+        likely=likely,
+        poles=poles,
+        coefficients=coefficients,
+        residual=np.column_stack([one.residual for one in outputs]),
+        weights=weights,
+        leverage=np.clip(leverage, 0.0, 0.95),
+        noise=noise,
+        covariance=covariance,
+        coefficient_covariance=of_coefficients,
+        coefficient_slopes=-np.array([one.carried for one in outputs]) / scale[:, None],
+        step=inverted @ gradient,
+    )
+
+
+def _output(
+    columns: FloatArray,
+    instruments: FloatArray,
+    values: FloatArray,
+    slopes: FloatArray,
+    scale: FloatArray,
+    weights: FloatArray,
+) -> _Output:
+    left = instruments * weights[:, None]
+    inverse = np.asarray(np.linalg.pinv(left.T @ columns, rcond=1e-13), dtype=np.float64)
+    coefficients = inverse @ (left.T @ values)
+    residual = values - columns @ coefficients
+    of_poles = pole_slopes(slopes, (coefficients / scale)[:, None])[:, :, 0]
+    weighted = of_poles * weights[:, None]
+    # Without the part that the coefficients explain: orthogonal to the measured columns.
+    rest = of_poles - instruments @ (inverse.T @ (columns.T @ weighted))
+    return _Output(
+        coefficients=coefficients,
+        inverse=inverse,
+        residual=residual,
+        carried=inverse @ (instruments.T @ weighted),
+        rest=rest,
+        information=rest.T @ weighted,
+        gradient=rest.T @ (residual * weights),
+        absorbed=np.sum((columns @ inverse) * left, axis=1),
+    )
+
+
+def _scatter(
+    outputs: list[_Output], noise: Noise, weights: FloatArray, response: ComplexArray, share: FloatArray
+) -> FloatArray:
+    """Covariance of the gradient: the noise of each output, and that of the input, which they have in common."""
+    half, m = weights.shape[0], outputs[0].rest.shape[1]
+    found, common = np.zeros((m, m)), np.zeros((half, m), dtype=complex)
+    for out, one in enumerate(outputs):
+        factor = np.concatenate([weights[:, out] ** 2 * noise.output[:, out]] * 2)
+        found += share[out] * (one.rest * factor[:, None]).T @ one.rest
+        as_complex = one.rest[:half] + 1j * one.rest[half:]
+        common += share[out] * (weights[:, out] * np.conj(response[:, out]))[:, None] * as_complex
+    return found + noise.input * np.real(np.conj(common).T @ common)
+
+
+def scaled(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns of unit norm, and their norms."""
+    scale = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
+    return columns / scale, scale
+
+
+def pole_slopes(slopes: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Derivatives of the fitted motion with respect to (Re, Im) of each pole; shape (2 b, 2 m, k).
+
+    `slopes` are those of `Samples.slopes`, `coefficients`, shape (p, k), those of the unscaled columns.
+    """
+    driven, free = amplitudes(coefficients)
+    m, k = driven.shape
+    found = np.empty((slopes.shape[0], 2 * m, k))
+    for index in range(m):
+        real, imag, free_real, free_imag = slopes[:, OF_MODE * index : OF_MODE * (index + 1)].T
+        for place, turn in enumerate((1.0, 1j)):
+            c, d = turn * driven[index], turn * free[index]
+            found[:, 2 * index + place] = (
+                np.outer(real, c.real)
+                - np.outer(imag, c.imag)
+                + np.outer(free_real, d.real)
+                - np.outer(free_imag, d.imag)
+            )
+    return found
+
+
+def significant(found: ResponseFit, penalty: float) -> BoolArray:
+    """Modes without which chi-square would be larger by more than the criterion asks for; shape (m,)."""
+    kept = np.ones(found.poles.size, dtype=bool)
+    for index in range(kept.size):
+        own = slice(FIXED + OF_MODE * index, FIXED + OF_MODE * (index + 1))
+        total = 0.0
+        for out in range(found.coefficients.shape[1]):
+            values = found.coefficients[own, out]
+            total += float(values @ np.linalg.pinv(found.coefficient_covariance[out, own, own]) @ values)
+        kept[index] = 0.5 * total > penalty
+    return kept
+
+
+def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float]:
+    """Power of the residual about the resonance of a mode over two expectations.
+
+    Returns
+    -------
+    over_weights : float
+        Over the variance that its weights stand for; 1 where noise alone exceeds it with a probability above
+        `Tuning.false_alarm`. The variances of the mode are to be multiplied by it.
+    over_beside : float
+        Over the noise of the outputs on both sides, beyond the average that contains the mode, with the response to the
+        noise of the input added.
+    """
+    samples, pole = found.samples, found.poles[index]
+    size = samples.frequency_hz.size
+    step_hz = float(samples.frequency_hz[1] - samples.frequency_hz[0])
+    hz = abs(pole) / (2.0 * np.pi)
+    at = int(np.clip(np.round(hz / step_hz) - samples.first, 0, size - 1))
+    reach = max(TUNING.least_bins, int(np.ceil(TUNING.half_widths * -pole.real / (2.0 * np.pi * step_hz))))
+    own = slice(max(0, at - reach), at + reach + 1)
+    square = np.abs(found.residual_bins[own]) ** 2
+    free = 2.0 * (1.0 - found.leverage[own]) * samples.share_given
+    power = float(np.sum(square * found.weights[own]) / np.sum(free))
+    away = reach + NOISE.half_window
+    sides = [found.noise.output[i] for i in (at - away, at + away) if 0 <= i < size]
+    beside = np.exp(np.mean(np.log(sides), axis=0)) if sides else found.noise.output[at]
+    gain = np.abs(found.transfer(samples.frequency_hz[own])) ** 2
+    over_beside = float(np.sum(square / (beside + found.noise.input * gain)) / np.sum(free))
+    # Outputs may have their noise in common: as many degrees of freedom as one of them has.
+    freedom = float(np.sum(np.mean(free, axis=1)))
+    is_noise = power < chi2.isf(TUNING.false_alarm, freedom) / freedom
+    return 1.0 if is_noise else power, over_beside

@@ -1,0 +1,132 @@
+"""A record with a measured input through the command line: tables, report, and what does not apply to it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import modalcam as mc
+from benchmarks.known_input_scenes import DAMPING_RATIOS, FREQUENCIES_HZ, PARTICIPATION, Record, record
+from modalcam.cli import app
+
+#: Each of a dozen values within this many sd: one in 1000 seeds fails by chance.
+_LIMIT = 4.0
+
+
+def _table(one: Record, path, names=("base", "a", "b", "c"), factor=1.0):
+    values = np.column_stack([one.time_s, one.base * factor, one.values])
+    np.savetxt(path, values, delimiter=",", header=",".join(("time_s", *names)), comments="", fmt="%.9g")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """Results of `modalcam identify --input base`."""
+    folder = tmp_path_factory.mktemp("response")
+    _table(record("random", 11), folder / "take.csv")
+    command = [
+        "identify",
+        str(folder / "take.csv"),
+        "-o",
+        str(folder / "out"),
+        "--input",
+        "base",
+        "--unit",
+        "mm",
+    ]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+def test_the_tables_have_modes_participation_and_response(out):
+    modes = pd.read_csv(out / "modes.csv")
+    for row, hz, zeta in zip(modes.itertuples(), FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):
+        assert abs(row.frequency_hz - hz) < _LIMIT * row.frequency_sd_hz
+        assert abs(row.damping_ratio - zeta) < _LIMIT * row.damping_ratio_sd
+    table = pd.read_csv(out / "participation.csv")
+    scores = (table.participation - PARTICIPATION.ravel()) / np.hypot(table.participation_sd, 2e-3)
+    assert np.max(np.abs(scores)) < _LIMIT, f"simulated {PARTICIPATION.ravel()}, found {table.participation}"
+    assert table.modal_mass.isna().all(), "the motion of a base has no modal mass"
+    response = pd.read_csv(out / "response" / "take.csv")
+    assert set(response.channel) == {"a", "b", "c"}
+    peak = response[response.channel == "a"].magnitude.max()
+    # At resonance, participation over twice the damping ratio; the motion of the base adds 1.
+    expected = np.max(np.abs(PARTICIPATION[:, 0]) / (2.0 * DAMPING_RATIOS))
+    assert peak == pytest.approx(expected, rel=0.02), "from 1 over it, and a frequency between two bins"
+
+
+def test_the_universal_file_holds_the_responses(out):
+    """Read by pyuff: function type 5, transmissibility, at the frequencies of the table."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = pyuff.UFF(str(out / "universal" / "take.uff")).read_sets()
+    found = [one for one in sets if one["type"] == 58 and one["func_type"] == 5]
+    table = pd.read_csv(out / "response" / "take.csv")
+    assert [one["rsp_ent_name"].strip() for one in found] == ["a", "b", "c"]
+    for one in found:
+        own = table[table.channel == one["rsp_ent_name"].strip()]
+        np.testing.assert_allclose(
+            one["x"], own.frequency_hz, rtol=1e-6, err_msg="from the width of the column"
+        )
+        np.testing.assert_allclose(one["data"], own.real + 1j * own.imaginary, rtol=1e-9)
+
+
+def test_the_report_has_its_section_and_no_decay(out):
+    page = (out / "report.html").read_text("utf-8")
+    assert "Frequency response to the measured input" in page
+    assert "Response to a measured motion of the base" in page
+    for of_decay in ("Probability of this onset", "Length of decay", "Spectrum before and after the fit"):
+        assert of_decay not in page, f"{of_decay} is of a decay"
+
+
+def test_the_interface_gives_the_response(out):
+    one = record("random", 11)
+    response = mc.frf(one.time_s, one.values, input=one.base)
+    table = pd.read_csv(out / "response" / "take.csv")
+    own = response.to_dataframe()
+    assert list(own.columns) == list(table.columns)
+    # The table rounds its input to nine digits.
+    np.testing.assert_allclose(own.magnitude, table.magnitude, rtol=1e-4)
+
+
+def test_a_force_has_modal_masses(tmp_path):
+    """The same record, its input called a force: 1 over the modal constant, and its relative sd."""
+    _table(record("random", 11), tmp_path / "take.csv", names=("hammer", "a", "b", "c"))
+    command = ["identify", str(tmp_path / "take.csv"), "-o", str(tmp_path / "out"), "--input", "hammer"]
+    result = CliRunner().invoke(app, [*command, "--input-unit", "N", "--unit", "mm"])
+    assert result.exit_code == 0, result.output
+    table = pd.read_csv(tmp_path / "out" / "participation.csv")
+    assert set(table.unit) == {"mm/(N s^2)"}
+    np.testing.assert_allclose(table.modal_mass * table.participation, 1.0, rtol=1e-6)
+    relative = table.modal_mass_sd / table.modal_mass.abs()
+    np.testing.assert_allclose(relative, table.participation_sd / table.participation.abs(), rtol=1e-6)
+
+
+def test_an_input_that_is_no_channel_is_refused_with_the_channels(tmp_path):
+    _table(record("random", 11), tmp_path / "take.csv")
+    result = CliRunner().invoke(
+        app, ["identify", str(tmp_path / "take.csv"), "--input", "clamp", "--unit", "mm"]
+    )
+    assert result.exit_code != 0
+    assert "--input clamp" in str(result.exception)
+    assert "base, a, b, c" in str(result.exception)
+
+
+def test_the_input_is_ignored_with_output_only(tmp_path):
+    """A decay beside a channel that does not move, which is no input."""
+    _table(record("decay", 11), tmp_path / "take.csv")
+    command = [
+        "identify",
+        str(tmp_path / "take.csv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--unit",
+        "mm",
+        "--input",
+        "base",
+    ]
+    refused = CliRunner().invoke(app, command)
+    assert "does not move" in refused.output
+    result = CliRunner().invoke(app, [*command, "--output-only", "--force"])
+    assert result.exit_code == 0, result.output
+    assert not (tmp_path / "out" / "response").exists()
+    assert len(pd.read_csv(tmp_path / "out" / "modes.csv")) == FREQUENCIES_HZ.size
