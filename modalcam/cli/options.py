@@ -38,7 +38,7 @@ Jobs = Annotated[
 Links = Annotated[
     bool, typer.Option("--follow-symlinks", help="Also read recordings through symbolic links.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
+Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Only failures and warnings.")]
 ProgressFormat = Literal["text", "json"]
@@ -70,7 +70,7 @@ _MEMORY = typer.Option(
 _PLUGIN = typer.Option(
     "--plugin",
     metavar="MODULE",
-    help="Adds markers, readers, formats, damping laws, figures, sections, stages; may be repeated.",
+    help="Python module that extends modalcam; may be repeated.",
 )
 
 _INCLUDE = typer.Option(

@@ -132,21 +132,17 @@ def identify(
     rate: Annotated[
         float | None,
         typer.Option(
-            "--rate", min=1e-9, max=1e12, metavar="HZ", help="Samples per second, of a table without times."
+            "--rate", min=1e-9, max=1e12, metavar="HZ", help="Samples per second, if without times."
         ),
     ] = None,
     known_input: Annotated[
         str | None,
-        typer.Option(
-            "--input", metavar="COLUMN", help="Channel that drives the others: base motion or force."
-        ),
+        typer.Option("--input", metavar="COLUMN", help="Channel of the base motion or force."),
     ] = None,
-    output_only: Annotated[
-        bool, typer.Option("--output-only", help="Ignore a measured input: identify the outputs alone.")
-    ] = False,
+    output_only: Annotated[bool, typer.Option("--output-only", help="Ignore the input.")] = False,
     input_unit: Annotated[
         str | None,
-        typer.Option("--input-unit", help="Its unit, if not that of the others: it is a force then."),
+        typer.Option("--input-unit", help="Unit of the input, if it is a force."),
     ] = None,
     json_: Json = False,
     verbose: Verbose = 0,
