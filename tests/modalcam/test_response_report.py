@@ -1,5 +1,7 @@
 """A record with a measured input through the command line: tables, report, and what does not apply to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -88,6 +90,7 @@ def test_the_interface_gives_the_response(out):
     np.testing.assert_allclose(own.magnitude, table.magnitude, rtol=1e-4)
 
 
+@pytest.mark.usefixtures("in_process", "no_figures")
 def test_a_force_has_modal_masses(tmp_path):
     """The same record, its input called a force: 1 over the modal constant, and its relative sd."""
     _table(record("random", 11), tmp_path / "take.csv", names=("hammer", "a", "b", "c"))
@@ -111,9 +114,13 @@ def test_an_input_that_is_no_channel_is_refused_with_the_channels(tmp_path):
     assert "base, a, b, c" in str(result.exception)
 
 
+@pytest.mark.usefixtures("in_process", "no_figures")
 def test_the_input_is_ignored_with_output_only(tmp_path):
-    """A decay beside a channel that does not move, which is no input."""
-    _table(record("decay", 11), tmp_path / "take.csv")
+    """Five seconds of a decay beside a channel that does not move, which is no input."""
+    one = record("decay", 11)
+    rows = one.time_s < one.time_s[0] + 5.0
+    short = replace(one, time_s=one.time_s[rows], base=one.base[rows], values=one.values[rows])
+    _table(short, tmp_path / "take.csv")
     command = [
         "identify",
         str(tmp_path / "take.csv"),
