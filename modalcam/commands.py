@@ -6,7 +6,7 @@ a run that is up to date ends at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -188,6 +188,10 @@ def identify(
     )
 
     load_plugins(options.plugins)
+    given_options = {"unit": unit, "rate": rate_hz, "input": known_input, "input-unit": input_unit}
+    given_options |= {
+        name.replace("_", "-"): one for name, one in recording.given().items() if name != "file"
+    }
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
     entry_of_config = next((entry for entry in config.recordings if entry.file == recording.file), None)
     if entry_of_config is not None:
@@ -203,7 +207,7 @@ def identify(
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         compile_for(context, [result])
-        record = _record(context, options, "identify", path.name)
+        record = _record(context, options, "identify", path.name, given=given_options)
         return _finish(context, options, measure(context, [result]), record)
 
 
@@ -341,9 +345,19 @@ def _context(
 
 
 def _record(
-    context: Context, options: Options, command: str, target: str, notes: tuple[str, ...] = ()
+    context: Context,
+    options: Options,
+    command: str,
+    target: str,
+    notes: tuple[str, ...] = (),
+    given: Mapping[str, object] | None = None,
 ) -> RunRecord:
-    invocation = options.invocation(f"{command} {shown(target)}")
+    more = "".join(
+        f" --{option}" + ("" if value is True else f" {shown(str(value))}")
+        for option, value in (given or {}).items()
+        if value is not None and value is not False
+    )
+    invocation = options.invocation(f"{command} {shown(target)}{more}")
     return RunRecord(target, (), context.config, options.seed, invocation, notes)
 
 
