@@ -201,11 +201,18 @@ def _basis(whitened: FloatArray, most: int, *, always: bool) -> FloatArray:
         bands = [band for band, motion in zip(bands, shown, strict=True) if motion.size]
         if not bands:
             break
-        motion = np.concatenate(shown)
-        direction = np.linalg.eigh(motion.T @ motion)[1][:, -1]
+        direction = _main_direction(np.concatenate(shown))
         found.append(direction)
         bands = [band - np.outer(band @ direction, direction) for band in bands]
     return np.stack(found, axis=1) if found else np.zeros((whitened.shape[1], 0))
+
+
+def _main_direction(motion: FloatArray) -> FloatArray:
+    """First right singular vector, of the smaller Gram matrix."""
+    if motion.shape[0] >= motion.shape[1]:
+        return np.asarray(np.linalg.eigh(motion.T @ motion)[1][:, -1])
+    direction = motion.T @ np.linalg.eigh(motion @ motion.T)[1][:, -1]
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _motion(band: FloatArray, removed: int, *, always: bool) -> FloatArray:

@@ -12,9 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modalcam.common import ARRAY_DAMAGE
+from modalcam.inputs.time_axis import samples_by_channels
 
-# Ends the note on an array, whose axes have no names.
-LONGER_AXIS = "the longer axis is time."
 # More values than any series that can be identified.
 _MOST_VALUES = 250_000_000
 # Integers and floating-point numbers; vectors and matrices.
@@ -24,7 +23,7 @@ _RATE_NAMES = ("fs", "rate", "fps", "sampling_rate", "sample_rate")
 
 
 def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Columns of an array of one or two axes, the longer one being time; ValueError for any other content."""
+    """Columns of an array of one or two axes; ValueError for any other content, or where either may be time."""
     # A map takes no memory for what the header only claims, and refuses a shape that the file is too short for.
     try:
         array = np.lib.format.open_memmap(path, mode="r")
@@ -33,7 +32,8 @@ def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
         raise ValueError(msg) from error
     if array.dtype.names:
         return pd.DataFrame({name: _real(array[name]) for name in array.dtype.names}), []
-    return _columns(_real(array)), [f"The array has the shape {array.shape}: {LONGER_AXIS}"]
+    columns, taken = _columns(_real(array))
+    return columns, [f"The array has the shape {array.shape}: {taken}"]
 
 
 def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -47,13 +47,14 @@ def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
         msg = "no numeric variable with more than one value"
         raise ValueError(msg)
     length = max(max(value.shape) for value in vectors.values())
-    parts = {n: _columns(_real(v)) for n, v in vectors.items() if v.ndim <= _AXES and length in v.shape}
+    used = {n: _columns(_real(v)) for n, v in vectors.items() if v.ndim <= _AXES and length in v.shape}
+    parts = {name: part for name, (part, _) in used.items()}
     columns = pd.concat(
         [part.set_axis(_numbered(name, part.shape[1]), axis=1) for name, part in parts.items()], axis=1
     )
     notes = [f"Variables {', '.join(list(parts)[:8])} of the MATLAB file are used."]
     turned = [f"{name} {vectors[name].shape}" for name in parts if vectors[name].shape[0] < length]
-    notes += [f"Of {', '.join(turned)} {LONGER_AXIS}"] if turned else []
+    notes += [f"Of {', '.join(turned)} the longer axis is time."] if turned else []
     scalars = {name.lower(): float(value) for name, value in arrays.items() if value.size == 1}
     rate = next((scalars[name] for name in _RATE_NAMES if name in scalars), 0.0)
     if rate > 0.0 and not {"t", "time", "time_s"} & {name.lower() for name in parts}:
@@ -95,10 +96,9 @@ def _real(array: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(array, dtype=np.float64)
 
 
-def _columns(array: NDArray[np.float64]) -> pd.DataFrame:
+def _columns(array: NDArray[np.float64]) -> tuple[pd.DataFrame, str]:
     if not 1 <= array.ndim <= _AXES or array.size == 0:
         msg = f"an array of shape {array.shape}; save samples by channels"
         raise ValueError(msg)
-    rows = array[:, None] if array.ndim == 1 else array
-    rows = rows.T if rows.shape[1] > rows.shape[0] else rows
-    return pd.DataFrame(rows, columns=[f"column {k + 1}" for k in range(rows.shape[1])])
+    rows, taken = samples_by_channels(array[:, None] if array.ndim == 1 else array)
+    return pd.DataFrame(rows, columns=[f"column {k + 1}" for k in range(rows.shape[1])]), taken

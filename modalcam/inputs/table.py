@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from modalcam.common import InputError, readable_bytes, shown
-from modalcam.inputs.array_files import LONGER_AXIS
 from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
 from modalcam.inputs.text_table import read_text
+from modalcam.inputs.time_axis import samples_by_channels
 
 MAX_BYTES = 2_000_000_000
 TIME = "time_s"
@@ -76,12 +76,15 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
 
 
 def _upright(columns: pd.DataFrame, notes: list[str]) -> tuple[pd.DataFrame, list[str]]:
-    """A table without names whose rows are longer than its columns, turned: its longer axis is time, as in an array."""
+    """A table without names whose rows are longer than its columns, with time along its columns."""
     rows, count = columns.shape
-    if count <= rows or list(columns.columns) != _numbered_columns(count):
+    known = any(note.endswith("axis is time.") for note in notes)
+    if known or count <= rows or list(columns.columns) != _numbered_columns(count):
         return columns, notes
-    turned = columns.T.reset_index(drop=True).set_axis(_numbered_columns(rows), axis=1)
-    return turned, [*notes, f"The table has {rows} rows and {count} columns: {LONGER_AXIS}"]
+    numbers = columns.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+    turned, taken = samples_by_channels(numbers)
+    notes = [*notes, f"The table has {rows} rows and {count} columns: {taken}"]
+    return pd.DataFrame(turned, columns=_numbered_columns(turned.shape[1])), notes
 
 
 def _numbered_columns(count: int) -> list[str]:
@@ -99,7 +102,7 @@ def _with_times(columns: pd.DataFrame, notes: list[str], rate_hz: float | None, 
         raise InputError(msg)
     if not chosen and rate_hz is None:
         found = ", ".join(shown(str(name)) for name in columns.columns[:8])
-        orientation = "".join(f" ({note.rstrip('.')})" for note in notes if note.endswith(LONGER_AXIS))
+        orientation = "".join(f" ({note.rstrip('.')})" for note in notes if note.endswith("axis is time."))
         msg = (
             f"{where}: expected a column time_s (seconds), found columns {found}; give --rate if it has no times"
             f"{orientation}"

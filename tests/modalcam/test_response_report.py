@@ -75,7 +75,9 @@ def test_the_universal_file_holds_the_responses(out):
 def test_the_report_has_its_section_and_no_decay(out):
     page = (out / "report.html").read_text("utf-8")
     assert "Frequency response to the measured input" in page
-    assert "modalcam identify take.csv --unit mm --input base --seed 0" in page, "all that the results depend on"
+    assert "modalcam identify take.csv --unit mm --input base --seed 0" in page, (
+        "all that the results depend on"
+    )
     assert "Response to a measured motion of the base" in page
     for of_decay in ("Probability of this onset", "Length of decay", "Spectrum before and after the fit"):
         assert of_decay not in page, f"{of_decay} is of a decay"

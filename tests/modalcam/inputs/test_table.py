@@ -101,6 +101,27 @@ def test_the_longer_axis_of_an_array_without_names_is_time(tmp_path, order, endi
     assert order == "samples by channels" or any("the longer axis is time" in note for note in table.notes)
 
 
+@pytest.mark.parametrize("order", ["along the beam", "any"])
+@pytest.mark.parametrize("transposed", [False, True])
+def test_of_many_channels_and_samples_the_axis_that_oscillates_is_time(tmp_path, order, transposed):
+    """300 channels of a field and 200 samples of 14 cycles: the longer axis is not time."""
+    rng = np.random.default_rng(4)
+    t, x = np.arange(200) / 250.0, np.linspace(0.0, 1.0, 300)
+    field = np.outer(np.exp(-0.3 * t) * np.cos(2.0 * np.pi * 17.3 * t), np.sin(4.6 * x))
+    field = field[:, rng.permutation(300)] if order == "any" else field
+    field = field + 0.02 * rng.standard_normal(field.shape)
+    np.save(tmp_path / "a.npy", field.T if transposed else field)
+    table = read_table(tmp_path / "a.npy", 250.0)
+    np.testing.assert_array_equal(table.columns.to_numpy()[:, 1:], field)
+    assert any(f"the {'second' if transposed else 'first'} axis is time" in note for note in table.notes)
+
+
+def test_many_channels_and_samples_that_show_no_axis_of_time_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.random.default_rng(1).standard_normal((200, 300)))
+    with pytest.raises(InputError, match="either axis may be time; add the times as the first column"):
+        read_table(tmp_path / "a.npy", 250.0)
+
+
 def test_rows_of_channels_without_times_say_which_axis_was_taken_for_time(tmp_path):
     np.save(tmp_path / "a.npy", MOTION.T)
     with pytest.raises(
