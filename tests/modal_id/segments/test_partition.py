@@ -45,6 +45,25 @@ def test_a_change_is_found_within_its_limits(kind, noise):
         assert found[0].low_s - 2.0 / HZ <= at <= found[0].high_s + 2.0 / HZ, f"{kind} at {at:.2f} s: {found}"
 
 
+def test_a_loud_decay_of_a_quiet_record_is_no_part_of_its_release():
+    """Rest, a release in the middle of a block, a decay far above the noise, and a hand after 30 s that stops it.
+
+    Three fifths of the record are quiet: blocks of the decay leave far more than the median one.
+    """
+    t = np.arange(4200) / RATE
+    since = np.maximum(t - 5.1, 0.0)
+    held = np.maximum(t - 30.0, 0.0)
+    # solution of a' = -z w a (1 + 3 a), held from then on
+    free = 1.0 / (4.0 * np.exp(2 * np.pi * HZ * 0.001 * (since - held)) - 3.0)
+    y = np.where(t < 5.1, 0.0, free * np.exp(-2 * np.pi * HZ * 0.08 * held) * np.cos(2 * np.pi * HZ * since))
+    found = find_changes(data_of(t, y, 1e-4, 1), (HZ,), 0.0)
+    # Blocks of two cycles: a release disturbs one, and is known to those beside it.
+    assert any(one.low_s < 5.1 < one.high_s < 5.1 + 12.0 / HZ for one in found), found
+    assert any(one.low_s - 2.0 / HZ < 30.0 < one.high_s + 2.0 / HZ and one.low_s > 25.0 for one in found), (
+        found
+    )
+
+
 @pytest.mark.parametrize("count", [30, pytest.param(400, marks=pytest.mark.slow)])
 def test_noise_about_one_decay_seldom_is_an_event(count):
     """Two modes, or damping that grows with the amplitude: the division proposes, one motion or two decide."""
