@@ -99,11 +99,10 @@ def _divided(blocks: LineBlocks) -> list[Change]:
         if inner and (loud or last - first <= TUNING.click_blocks):
             continue
         at = first
-        # The last blocks of a burst may have been taken for motion; loud motion leaves more in every block.
-        while (
-            noisy and at + 1 < min(last, first + TUNING.click_blocks) and blocks.excess[at + 1] > TUNING.burst
-        ):
+        # The last blocks of a burst may have been taken for motion; a motion far above the noise is loud to its end.
+        while noisy and at + 1 < last and blocks.excess[at + 1] > TUNING.burst:
             at += 1
+        at = first if at + 1 == last else at
         found.append(Change(low_s, _reach(edges, seen, at)[1], noisy or gap))
         low_s = -1.0
     return sorted(found + _bursts(blocks, found), key=lambda one: one.low_s)
