@@ -5,15 +5,16 @@ from .baseline import baseline_splines as baseline_splines
 from .held import in_all_rows as in_all_rows
 from .held import of_rows as of_rows
 from .held import sampled_rows as sampled_rows
-from .long_gap import longest_without_pause as longest_without_pause
-from .one_rate import longest_at_one_rate as longest_at_one_rate
 from .outliers import beyond_limit as beyond_limit
 from .outliers import limited as limited
 from .outliers import reject_outliers as reject_outliers
 from .prepare import MIN_SAMPLES as MIN_SAMPLES
 from .prepare import Prepared as Prepared
 from .prepare import Projection as Projection
+from .prepare import last_saturated_row as last_saturated_row
 from .prepare import listed as listed
+from .prepare import longest_at_one_rate as longest_at_one_rate
+from .prepare import longest_without_pause as longest_without_pause
 from .prepare import prepare as prepare
 from .prepare import with_base as with_base
 from .projection import project as project
@@ -23,4 +24,3 @@ from .samples import detrended as detrended
 from .samples import neighbour_sums as neighbour_sums
 from .samples import rough_variance as rough_variance
 from .samples import runs as runs
-from .saturation import last_saturated_row as last_saturated_row

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from tracker import FloatArray
 
 # The baseline contains frequencies up to this fraction of the lowest mode's, and at first up to the ceiling, which
-# `modal_id.fit.drift` may raise.
+# `modal_id.fit.model_order` may raise.
 RELATIVE_BANDWIDTH = 0.4
 
 
@@ -22,7 +22,7 @@ class Tuning:
     """Bandwidth of the baseline."""
 
     #: [Hz] largest frequency of the baseline at first
-    #: convention: `modal_id.fit.drift` may raise it.
+    #: convention: `modal_id.fit.model_order` may raise it.
     ceiling_hz: float = 1.0
     #: [samples] number of rows up to which the baseline is held in memory for all of them
     #: convention: Limits the memory.

@@ -1,26 +1,44 @@
-"""Usable channels and rows of a displacement series, with reasons for what is left out."""
+"""Usable channels and rows of a displacement series, and why others are left out: pauses, other rates, clipping."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
 
-from modal_id.data.long_gap import longest_without_pause
-from modal_id.data.one_rate import longest_at_one_rate
 from modal_id.data.repeats import repeated_rows
-from modal_id.data.samples import FitData
-from modal_id.data.saturation import last_saturated_row
+from modal_id.data.samples import FitData, runs
 from tracker import BoolArray, DisplacementSeries, FloatArray
-
-MIN_SAMPLES = 12
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Which channels can be used."""
+    """Which channels and rows can be used."""
 
+    #: [1] length of a pause in steps over the number of samples from which it is an error of the time stamps
+    long_pause: float = 10.0
+    #: [1] number of mean steps whose median gives the sampling rate at a sample
+    #: convention: Gaps do not count in the median.
+    rate_steps: int = 33
+    #: [steps] number of steps in each mean
+    #: convention: They even out rounded time stamps.
+    averaged: int = 4
+    #: [1] ratio of two rates below which they count as one rate with jitter or missing samples
+    #: physics: A missing sample doubles a step.
+    same_rate: float = 1.9
+    #: [1] share of steps or duration, the larger of both, below which a stretch does not count as another rate
+    least_share: float = 0.05
+    #: [1] largest number of rates listed in a message
+    listed: int = 4
+    #: [samples] shortest clipped run
+    min_run: int = 4
+    #: [1] fewest clipped runs
+    min_runs: int = 2
+    #: [1] length of a clipped run over that of a sine within one step of its peak
+    clipped_factor: float = 4.0
     #: [1] share of finite samples below which a channel is left out
     min_finite: float = 0.3
     #: [1] range of a channel over the stated sd below which it is rounding
@@ -31,6 +49,119 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+
+def longest_without_pause(time_s: FloatArray) -> tuple[int, int, str] | None:
+    """First row and end of the stretch of most rows, and a sentence; None where there is no such pause.
+
+    A pause of ten times as many steps as there are samples leaves the phases on its sides unrelated, and memory for
+    baseline and spectrum would grow with the pause.
+    """
+    if time_s.size < 2:
+        return None
+    step_s = np.diff(time_s)
+    pauses = np.flatnonzero(step_s > TUNING.long_pause * time_s.size * np.median(step_s))
+    if not pauses.size:
+        return None
+    edges = np.concatenate([[0], pauses + 1, [time_s.size]])
+    longest = int(np.argmax(np.diff(edges)))
+    first, end = int(edges[longest]), int(edges[longest + 1])
+    note = (
+        f"The record pauses for {np.max(step_s):.4g} s: only the {end - first} samples from {time_s[first]:.4g} s to "
+        f"{time_s[end - 1]:.4g} s were used. Give the others as files of their own."
+    )
+    return first, end, note
+
+
+def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
+    """First row and end of the longest stretch at the rate of most samples, and a sentence; None where one rate is all.
+
+    A motion above the Nyquist frequency of a slower stretch is an alias there and itself elsewhere: no one mode fits
+    both.
+    """
+    if time_s.size < 2 * TUNING.rate_steps:
+        return None
+    mean_s = uniform_filter1d(np.diff(time_s), TUNING.averaged, mode="nearest")
+    step_s = np.maximum(median_filter(mean_s, TUNING.rate_steps, mode="nearest"), 1e-300)
+    alike = np.abs(np.log(step_s / np.median(step_s))) < np.log(TUNING.same_rate)
+    for begin, end in runs(~alike):
+        share = max((end - begin) / step_s.size, (time_s[end] - time_s[begin]) / (time_s[-1] - time_s[0]))
+        alike[begin:end] = share < TUNING.least_share
+    if np.all(alike):
+        return None
+    stretches = sorted([*runs(alike), *runs(~alike)], key=lambda run: int(run[0]))
+    first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
+    listed = ", ".join(
+        f"{1.0 / float(np.median(step_s[begin:end])):.4g} Hz from {time_s[begin]:.4g} s"
+        for begin, end in stretches[: TUNING.listed]
+    )
+    note = (
+        f"The sampling rate changes within the record ({listed}{', …' if len(stretches) > TUNING.listed else ''}): "
+        f"only the stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. "
+        "Give the others as files of their own."
+    )
+    # A step lies between two rows.
+    return int(first), int(last) + 1, note
+
+
+def last_saturated_row(values: FloatArray, least_step: FloatArray | None = None) -> int | None:
+    """Row of the last sample that belongs to a clipped peak of any channel, or None.
+
+    A peak is clipped when many neighbouring samples share the channel's largest or smallest value (within 0.2 % of the
+    range above or below the median, on several peaks). Quantised slow signals also repeat their largest value: the run
+    must be longer than the quantisation explains.
+
+    Parameters
+    ----------
+    values : array, shape (n, k)
+        NaN where missing.
+    least_step : array, shape (k,), or None
+        Steps of a channel that are smaller are none; 0 or NaN where unknown.
+    """
+    least = np.zeros(values.shape[1]) if least_step is None else np.nan_to_num(least_step)
+    rows = [
+        row
+        for column, step in zip(values.T, least, strict=True)
+        for row in (_last_run(column, step), _last_run(-column, step))
+        if row is not None
+    ]
+    return max(rows) if rows else None
+
+
+def _last_run(column: FloatArray, least_step: float) -> int | None:
+    good = np.flatnonzero(np.isfinite(column))
+    if good.size < 4 * TUNING.min_run:
+        return None
+    x = column[good]
+    top, middle = float(np.max(x)), float(np.median(x))
+    if top <= middle:
+        return None
+    tolerance = 0.002 * (top - middle)
+    at_top = x >= top - tolerance
+    starts, ends = runs(at_top).T
+    lengths = ends - starts
+    if np.max(lengths) <= TUNING.min_run:
+        return None
+    crossings = np.count_nonzero(np.diff(x > middle))
+    period = 2.0 * x.size / max(float(crossings), 1.0)
+    steps = np.diff(np.unique(x))
+    # Steps of a marker that is drawn in whole pixels are uneven: the one below the limit counts, too.
+    below = float(np.min(x[at_top])) - float(np.max(x[~at_top], initial=middle))
+    resolution = max(below, float(np.min(steps[steps > least_step], initial=top - middle)))
+    stay = period * np.sqrt(2.0 * (tolerance + resolution) / (top - middle)) / np.pi
+    long = lengths > max(TUNING.min_run, TUNING.clipped_factor * stay)
+    # Peaks: the signal leaves the limit between them, unlike noise on a level that it has stepped to.
+    peaks = np.flatnonzero(long)
+    left = [np.min(x[ends[a] : starts[b]]) < 0.5 * (top + middle) for a, b in pairwise(peaks)]
+    if not peaks.size or np.count_nonzero(left) + 1 < TUNING.min_runs:
+        return None
+    # Later and shorter runs at the same limit are clipped too.
+    return int(good[ends[lengths >= 2][-1] - 1])
+
+
+MIN_SAMPLES = 12
+
+
 _ROUNDING = TUNING.rounding
 
 _AT_REST = f"no motion (the values change by less than {100.0 * _ROUNDING:g} % of their standard deviation)"

@@ -1,4 +1,4 @@
-from . import repeating_errors as repeating_errors
+from . import position_errors as position_errors
 from .amplitude_dependence import AmplitudeFit as AmplitudeFit
 from .amplitude_dependence import fit_amplitude_dependence as fit_amplitude_dependence
 from .amplitude_dependence import nonlinear_decay as nonlinear_decay
@@ -12,9 +12,9 @@ from .model_order import refit as refit
 from .named_lines import with_named as with_named
 from .omissions import Omissions as Omissions
 from .own_decay import own_decay as own_decay
-from .repeating_errors import without_repeating_errors as without_repeating_errors
-from .rounding import with_rounding_errors as with_rounding_errors
-from .scale_errors import with_scale_errors as with_scale_errors
+from .position_errors import with_rounding_errors as with_rounding_errors
+from .position_errors import with_scale_errors as with_scale_errors
+from .position_errors import without_repeating_errors as without_repeating_errors
 from .spectrum import ResidualSpectrum as ResidualSpectrum
 from .spectrum import least_level as least_level
 from .spectrum import local_level as local_level

@@ -16,6 +16,7 @@ from .flag_rules import LEAST_CYCLES as LEAST_CYCLES
 from .flag_rules import MANY_OUTLIERS as MANY_OUTLIERS
 from .flag_rules import mode_flags as mode_flags
 from .flag_rules import outlier_share as outlier_share
+from .flag_rules import severities as severities
 from .frame_clock import Clock as Clock
 from .frame_clock import DecayRecord as DecayRecord
 from .frame_clock import Kind as Kind
@@ -37,10 +38,9 @@ from .roles import held_decays as held_decays
 from .roles import held_odds as held_odds
 from .row_delay import readout_note as readout_note
 from .row_delay import row_delay as row_delay
-from .severities import severities as severities
-from .shape_errors import repeating_shape_sd as repeating_shape_sd
 from .shapes import amplitude_sd as amplitude_sd
 from .shapes import in_phase as in_phase
 from .shapes import mac as mac
 from .shapes import moving_channels as moving_channels
 from .shapes import mpc as mpc
+from .shapes import repeating_shape_sd as repeating_shape_sd

@@ -9,9 +9,9 @@ from .mode_posterior import LITTLE_DECAY as LITTLE_DECAY
 from .mode_posterior import SampledMode as SampledMode
 from .mode_posterior import determine_mode as determine_mode
 from .mode_posterior import sample_mode as sample_mode
+from .mode_posterior import widened as widened
 from .noise import channel_noise_level as channel_noise_level
 from .noise import noise_level as noise_level
-from .proposal import polar_proposal as polar_proposal
 from .sampler import autocorrelation_times as autocorrelation_times
+from .sampler import polar_proposal as polar_proposal
 from .sampler import sample as sample
-from .widening import widened as widened

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.posterior.density import REACH_SD, PoleDensity
@@ -13,7 +14,6 @@ from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mo
 from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import SamplingError, sample
-from modal_id.posterior.widening import widened
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
@@ -252,3 +252,22 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
     strongest[index] = 0.0
     return np.flatnonzero(strongest > TUNING.coupled)
+
+
+def widened(
+    frequencies_hz: FloatArray,
+    zetas: FloatArray,
+    extra_sd: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Draws of frequency and damping ratio plus a normal error of standard deviations `extra_sd`, in any shape.
+
+    The medians do not change. Damping ratios stay positive: a sum below half of the draw is mapped by an exponential
+    that joins smoothly. A reflection at zero would raise the median.
+    """
+    # Normal scores in random order: the sum of the errors is zero.
+    scores = ndtri((np.arange(zetas.size) + 0.5) / zetas.size)
+    wide_hz = frequencies_hz + extra_sd[0] * rng.permutation(scores).reshape(zetas.shape)
+    wide = zetas + extra_sd[1] * rng.permutation(scores).reshape(zetas.shape)
+    half = 0.5 * zetas
+    return wide_hz, np.where(wide < half, half * np.exp(np.minimum(wide / half, 1.0) - 1.0), wide)

@@ -5,25 +5,221 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from modal_id.posterior.kernels import chi_square_of
-from modal_id.posterior.moments import Columns
-from modal_id.solve import BandedFactor, PoleFit, Problem, own_problem
+from modal_id.solve import BandedFactor, PoleFit, Problem, mode_functions, own_problem, real_columns
 from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Rounding."""
+    """Rounding, and waves that have decayed."""
 
+    #: [decay times] blocks that begin later are not added to the moments of a wave
+    #: physics: It has fallen by exp(-30).
+    decay_times: float = 30.0
     #: [1] ridge added to the inner products, over the largest of them
     #: physics: Rounding errors may leave no more.
     ridge: float = 1e-13
 
 
 TUNING = Tuning()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def chi_square_of(
+    change: ComplexArray,
+    data: ComplexArray,
+    fixed_squares: ComplexArray,
+    fixed_moduli: ComplexArray,
+    square: ComplexArray,
+    modulus: FloatArray,
+    products: FloatArray,
+    group: NDArray[np.intp],
+    variance: FloatArray,
+) -> FloatArray:
+    """Residual sum of squares over the noise variance for each change, shape (w,); NaN where it is undefined.
+
+    The arrays are those of `modal_id.posterior.likelihood.ReducedLikelihood`.
+    """
+    terms, k, v = data.shape
+    groups = square.shape[1]
+    result = np.empty(change.size)
+    powers = np.empty(terms, dtype=np.complex128)
+    gram = np.empty((groups, 3))
+    moment = np.empty(v, dtype=np.complex128)
+    total = np.empty((v, v))
+    for w in range(change.size):
+        powers[0] = 1.0
+        for p in range(1, terms):
+            powers[p] = powers[p - 1] * change[w]
+        for g in range(groups):
+            _wave_gram(
+                change[w], powers, square[:, g], modulus[:, g], fixed_squares[g], fixed_moduli[g], gram[g]
+            )
+        total[:] = 0.0
+        for c in range(k):
+            rr, ii, ri = gram[group[c]]
+            scale = 1.0 / (variance[c] * (rr * ii - ri * ri))
+            for a in range(v):
+                value = 0.0j
+                for p in range(terms):
+                    value += powers[p] * data[p, c, a]
+                moment[a] = value
+            for a in range(v):
+                left = scale * (ii * moment[a].real - ri * moment[a].imag)
+                right = scale * (rr * moment[a].imag - ri * moment[a].real)
+                for b in range(v):
+                    explained = left * moment[b].real + right * moment[b].imag
+                    total[a, b] += products[c, a, b] / variance[c] - explained
+        result[w] = _less_shared(total)
+    return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wave_gram(
+    change: complex,
+    powers: ComplexArray,
+    square: ComplexArray,
+    modulus: FloatArray,
+    fixed_squares: ComplexArray,
+    fixed_moduli: ComplexArray,
+    gram: FloatArray,
+) -> None:
+    """Inner products of the wave's real and imaginary part (rr, ii, ri), all other columns projected out."""
+    both, absolute, both_power, absolute_power = 0.0j, 0.0, 1.0 + 0.0j, 1.0
+    for p in range(powers.size):
+        both += both_power * square[p]
+        absolute += absolute_power * modulus[p]
+        both_power *= 2.0 * change
+        absolute_power *= 2.0 * change.real
+        row, mixed = 0.0j, 0.0j
+        for q in range(powers.size):
+            row += powers[q] * fixed_squares[p, q]
+            mixed += powers[q].conjugate() * fixed_moduli[p, q]
+        both -= powers[p] * row
+        absolute -= (powers[p] * mixed).real
+    gram[0], gram[1], gram[2] = 0.5 * (absolute + both.real), 0.5 * (absolute - both.real), 0.5 * both.imag
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _less_shared(total: FloatArray) -> float:
+    """``total[0, 0]`` less what the other rows explain (Schur complement); NaN where they are not positive definite."""
+    v = total.shape[0]
+    for pivot in range(v - 1, 0, -1):
+        if not total[pivot, pivot] > 0.0:
+            return np.nan
+        for a in range(pivot):
+            ratio = total[a, pivot] / total[pivot, pivot]
+            for b in range(pivot):
+                total[a, b] -= ratio * total[pivot, b]
+    return float(total[0, 0])
+
+
+# Rows whose powers are held at one time.
+_BLOCK = 4096
+
+
+@dataclass
+class WaveSums:
+    """Weighted inner products of ``exp(lambda_0 t) t^p / p!``, for p below `terms`.
+
+    ``powers`` with [baseline, other modes, slopes of close modes, data], shape (terms, c); ``square`` and ``modulus``
+    with the wave and its conjugate, shape (terms,).
+    """
+
+    powers: ComplexArray
+    square: ComplexArray
+    modulus: FloatArray
+
+    def copy(self) -> WaveSums:
+        """Copy with arrays of its own."""
+        return WaveSums(self.powers.copy(), self.square.copy(), self.modulus.copy())
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns [baseline, other modes, slopes of close modes, data] of a mode's problem; the baseline is sparse."""
+
+    problem: Problem
+    fit: PoleFit
+    mode: int
+    close: NDArray[np.intp]
+
+    @property
+    def count(self) -> int:
+        """Number of columns without the baseline and the data."""
+        return 2 * (self.fit.poles.size - 1) + 2 * self.close.size
+
+    def products(self, values: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Inner products over all samples: of the baseline with the c others, (b, c), and of these, (c, c)."""
+        c = self.count + values.shape[1]
+        found = np.zeros((self.problem.sparse.shape[1], c)), np.zeros((c, c))
+        for rows in self._blocks():
+            self.add_products(found, values, rows, weights[rows])
+        return found
+
+    def add_products(
+        self,
+        found: tuple[FloatArray, FloatArray],
+        values: FloatArray,
+        rows: slice | NDArray[np.intp],
+        weights: FloatArray,
+    ) -> None:
+        """Add these rows to inner products of the columns."""
+        cross, gram = found
+        dense = self._dense(values, rows)
+        weighted = dense * weights[:, None]
+        cross += self.problem.sparse[rows].T @ weighted
+        gram += weighted.T @ dense
+
+    def waves(self, values: FloatArray, weights: FloatArray, centre: complex, terms: int) -> WaveSums:
+        """Inner products of the wave with the columns over all samples in which it is not negligible."""
+        shape = (terms, self.problem.sparse.shape[1] + self.count + values.shape[1])
+        sums = WaveSums(np.zeros(shape, dtype=complex), np.zeros(terms, complex), np.zeros(terms))
+        for rows in self._blocks():
+            if self.problem.data.time_s[rows.start] * -centre.real > TUNING.decay_times:
+                break
+            self.add_waves(sums, values, rows, weights[rows], centre)
+        return sums
+
+    def add_waves(
+        self,
+        sums: WaveSums,
+        values: FloatArray,
+        rows: slice | NDArray[np.intp],
+        weights: FloatArray,
+        centre: complex,
+    ) -> None:
+        """Add these rows to inner products of the wave."""
+        time, slow, dense = (
+            self.problem.data.time_s[rows],
+            self.problem.sparse[rows],
+            self._dense(values, rows),
+        )
+        terms = sums.square.size
+        powers = np.empty((terms, time.size), dtype=complex)
+        powers[0] = np.exp(centre * time)
+        for power in range(1, terms):
+            np.multiply(powers[power - 1], time / power, out=powers[power])
+        heavy = powers * weights
+        parts = np.concatenate([heavy.real, heavy.imag])
+        products = np.concatenate([(slow.T @ parts.T).T, parts @ dense], axis=1)
+        sums.powers += products[:terms] + 1j * products[terms:]
+        sums.square += heavy @ powers[0]
+        sums.modulus += np.real(heavy @ np.conj(powers[0]))
+
+    def _dense(self, values: FloatArray, rows: slice | NDArray[np.intp]) -> FloatArray:
+        time = self.problem.data.time_s[rows]
+        slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
+        others = mode_functions(time, np.delete(self.fit.poles, self.mode))
+        return np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
+
+    def _blocks(self) -> list[slice]:
+        n = self.problem.data.time_s.size
+        return [slice(begin, min(begin + _BLOCK, n)) for begin in range(0, n, _BLOCK)]
 
 
 @dataclass(frozen=True)

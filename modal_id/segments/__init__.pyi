@@ -5,6 +5,7 @@ from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
+from .divide import rest_until as rest_until
 from .drive_odds import BETWEEN_SD as BETWEEN_SD
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
@@ -27,7 +28,6 @@ from .narrate import whole_record as whole_record
 from .partition import best_division as best_division
 from .partition import find_changes as find_changes
 from .partition import likeliest_change as likeliest_change
-from .rest import rest_until as rest_until
 from .spikes import without_spikes as without_spikes
 from .steadiness import holds_a_decay as holds_a_decay
 from .steadiness import keeps_amplitude as keeps_amplitude

@@ -1,24 +1,26 @@
-"""Frequencies of the strongest lines of a record."""
+"""Frequencies of the strongest lines of a record, and the slow swing of the supports below them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data import FitData, detrended
+from modal_id.data import FitData, baseline_splines, detrended
 from modal_id.fit import Candidate, candidates
-from modal_id.segments.swing import FEW_CYCLES
+from modal_id.solve import Problem, no_columns, solve_linear
 from tracker import FloatArray
-
-# Shares of the record in which the dominant motion is looked for, each at every half of its length.
-_WINDOWS = (1.0, 0.25, 0.0625)
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """The dominant motion."""
+    """The dominant motion, and swings of the whole set-up."""
 
+    #: [1] largest frequency of a swing over that of the motion
+    slow: float = 0.25
+    #: [1] bandwidth of the splines over the frequency of the swing
+    #: physics: They follow a sine within 1e-3 of its amplitude.
+    followed: float = 6.0
     #: [samples] shortest window
     least_window: int = 32
     #: [1] logarithm of the ratio of frequencies within which windows show one line
@@ -34,6 +36,31 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+
+# A swing has fewer cycles than this, and less than this share of the frequency of the motion.
+FEW_CYCLES = 12.0
+
+
+def without_swing(data: FitData, variance: FloatArray, frequency_hz: float, detrended: FloatArray) -> FitData:
+    """The data less its slow motion, where that has a line of few cycles far below `frequency_hz`.
+
+    `variance`, shape (k,), is the noise variance of each channel, `detrended`, shape (n, k), the data less offset and
+    trend. In windows of two cycles of the motion, the curvature of a swing many times as large looks like a change of
+    the motion.
+    """
+    lines = [c.frequency_hz for c in candidates(data, detrended, variance, 0.0, ())]
+    slow = [f for f in lines if f < TUNING.slow * frequency_hz and f * data.span_s < FEW_CYCLES]
+    if not slow:
+        return data
+    bandwidth = min(TUNING.followed * max(slow), TUNING.slow * frequency_hz)
+    problem = Problem(data, baseline_splines(data.time_s, bandwidth))
+    moving = solve_linear(problem, no_columns(data.time_s)).residual
+    return replace(data, values=np.where(data.weights > 0.0, moving, 0.0))
+
+
+# Shares of the record in which the dominant motion is looked for, each at every half of its length.
+_WINDOWS = (1.0, 0.25, 0.0625)
 
 
 @dataclass(frozen=True)

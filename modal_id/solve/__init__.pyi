@@ -1,8 +1,8 @@
-from .banded import BandedFactor as BandedFactor
-from .banded import normal_band as normal_band
-from .dense import cholesky as cholesky
-from .dense import pseudo_inverse as pseudo_inverse
-from .dense import solve as solve
+from .cholesky import BandedFactor as BandedFactor
+from .cholesky import cholesky as cholesky
+from .cholesky import normal_band as normal_band
+from .cholesky import pseudo_inverse as pseudo_inverse
+from .cholesky import solve as solve
 from .linear import LinearSolution as LinearSolution
 from .linear import Problem as Problem
 from .linear import solve_linear as solve_linear

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from modal_id.data import FitData, neighbour_sums
-from modal_id.solve.banded import BandedFactor
-from modal_id.solve.dense import cholesky, solve
+from modal_id.solve.cholesky import BandedFactor, cholesky, solve
 from modal_id.solve.weighting import (
     BLOCK_ROWS,
     LongArray,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData
-from modal_id.solve.dense import pseudo_inverse
+from modal_id.solve.cholesky import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, solve_linear
 from modal_id.solve.normal_equations import normal_equations, slope_weights
 from modal_id.solve.waves import ModeColumns, TimesTime, motion

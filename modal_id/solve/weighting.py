@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
 from modal_id.data import FitData
-from modal_id.solve.banded import normal_band
+from modal_id.solve.cholesky import normal_band
 from tracker import FloatArray
 
 

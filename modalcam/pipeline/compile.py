@@ -82,11 +82,11 @@ SIMULATION = Group(
 DECAYS = Group(
     "modal_id.compile:compile_for_decays",
     (
-        "modal_id.solve.banded:_add_normal",
+        "modal_id.solve.cholesky:_add_normal",
         "modal_id.solve.linear:_subtract",
         "modal_id.data.baseline:_cubic",
         "modal_id.fit.amplitude_dependence:_decay",
-        "modal_id.posterior.kernels:chi_square_of",
+        "modal_id.posterior.reduction:chi_square_of",
         "modal_id.curve.quadrature:_slopes",
         "modal_id.segments.stretch_costs:stretch_costs",
     ),

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from modal_id import IdentifySettings, SamplerSettings, identify
 from modal_id.data import prepare, project, rough_variance
-from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.fit import find_modes, without_repeating_errors
+from modal_id.fit import position_errors as fitted_errors
 from modal_id.modes import mac
 from tracker import PositionErrors
 
@@ -192,7 +193,7 @@ def test_correlated_noise_of_neighbours_gives_uncorrelated_components():
 
 def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_channels(monkeypatch):
     # Components cannot show how far stations disagree.
-    monkeypatch.setattr(repeating_errors, "_GROUPS", 1)
+    monkeypatch.setattr(fitted_errors, "_GROUPS", 1)
     k = 24
     rng = np.random.default_rng(10)
     # Half a pixel and less of motion: the data hardly determine the periodic errors.

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from modal_id.data import FitData
-from modal_id.fit import find_modes, repeating_errors, without_repeating_errors
+from modal_id.fit import find_modes, without_repeating_errors
+from modal_id.fit import position_errors as fitted_errors
 from modal_id.solve import damping_ratio
 from tracker import PositionErrors, position_errors
 
@@ -244,7 +245,7 @@ def test_the_fit_is_that_of_all_functions_at_once(monkeypatch):
     known = replace(errors(2, periodic=0.5, period_px=8.0), periodic_sd=np.full((1, 2), 0.5 * sd))
     values = 6.0 * np.real(np.exp(pole * time))[:, None] * [1.0, 0.7] + sd * rng.standard_normal((frames, 2))
     model = find_modes(FitData(time, values, np.ones(values.shape)), 1)
-    monkeypatch.setattr(repeating_errors, "_BLOCK", 1500)
+    monkeypatch.setattr(fitted_errors, "_BLOCK", 1500)
     tracemalloc.start()
     try:
         found = without_repeating_errors(model, known, np.arange(2))
