@@ -1,0 +1,5 @@
+"""Damping of a run as input lines of simulation codes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
