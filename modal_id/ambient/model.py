@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.ambient.expected import transfer
 from tracker import ComplexArray, FloatArray
@@ -141,8 +142,8 @@ class BandModel:
     @property
     def vector(self) -> FloatArray:
         """All parameters: of the modes, then of the background."""
-        free = self.mixing[np.tril_indices(self.count, -1)]
-        of_floor = self.floor[np.tril_indices(self.exponents.size)]
+        free = self.mixing[_below(self.count, -1)]
+        of_floor = self.floor[_below(self.exponents.size, 0)]
         k = self.coherent
         parts = [
             self.log_hz,
@@ -162,8 +163,8 @@ class BandModel:
         sizes = [m, m, pairs, pairs, r * m, r * m, r * m, r * (r + 1) // 2]
         hz, zeta, real, imag, shapes, k_real, k_imag, of_floor, exponents = np.split(vector, np.cumsum(sizes))
         mixing, floor = np.zeros((m, m), dtype=complex), np.zeros((r, r))
-        mixing[np.tril_indices(m, -1)] = real + 1j * imag
-        floor[np.tril_indices(r)] = of_floor
+        mixing[_below(m, -1)] = real + 1j * imag
+        floor[_below(r, 0)] = of_floor
         coherent = (k_real + 1j * k_imag).reshape(r, m)
         return BandModel(hz, zeta, mixing, shapes.reshape(r, m), coherent, floor, exponents)
 
@@ -184,11 +185,11 @@ class BandModel:
     @property
     def prior(self) -> FloatArray:
         """Inverse variances of the normal priors of all parameters, 0 where there is none."""
-        inverse = np.zeros(self.vector.size)
-        r = self.exponents.size
+        m, r = self.count, self.exponents.size
+        first = m * (m + 1) + 3 * r * m
+        inverse = np.zeros(first + r * (r + 3) // 2)
         inverse[-r:] = TUNING.exponent_sd**-2
-        first = self.vector.size - r - r * (r + 1) // 2
-        inverse[first - 2 * r * self.count : first] = TUNING.coherent_sd**-2
+        inverse[first - 2 * r * m : first] = TUNING.coherent_sd**-2
         return inverse
 
     @property
@@ -196,6 +197,13 @@ class BandModel:
         """L, shape (m, m)."""
         raw = np.tril(self.mixing, -1) + np.eye(self.count)
         return np.asarray(raw / np.linalg.norm(raw, axis=1, keepdims=True))
+
+
+@cache
+def _below(size: int, diagonal: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of a lower triangle: asked for some ten thousand times a record."""
+    rows, columns = np.tril_indices(size, diagonal)
+    return rows, columns
 
 
 def responses(model: BandModel, data: BandData) -> ComplexArray:
@@ -342,10 +350,11 @@ def _score(model: BandModel, data: BandData) -> tuple[FloatArray, FloatArray]:
     of_modes = np.stack(changes) @ np.conj(np.swapaxes(factor, 1, 2)) if changes else np.zeros((0, g, r, r))
     half = np.concatenate([of_modes, _background_slopes(model, data, inverse, factor, background)])
     whitened = half + np.conj(np.swapaxes(half, 2, 3))
-    weighted = (whitened * data.bins[:, None, None]).reshape(-1, g * r * r)
-    whitened = whitened.reshape(-1, g * r * r)
-    gradient = np.real(whitened @ np.conj(misfit.ravel()))
-    information = np.real(weighted @ np.conj(whitened.T))
+    # Real and imaginary parts side by side: the products of Hermitian matrices are real.
+    weighted = (whitened * data.bins[:, None, None]).reshape(-1, g * r * r).view(np.float64)
+    parts = whitened.reshape(-1, g * r * r).view(np.float64)
+    gradient = parts @ misfit.ravel().view(np.float64)
+    information = weighted @ parts.T
     return gradient - model.prior * model.vector, information + np.diag(model.prior)
 
 
@@ -361,7 +370,7 @@ def _mode_changes(
         for slopes in zip(*(_response_slopes(model, data, mode) for mode in range(m)), strict=True)
         for mode, slope in enumerate(slopes)
     ]
-    rows, columns = np.tril_indices(m, -1)
+    rows, columns = _below(m, -1)
     for unit in (1.0, 1j):
         for i, j in zip(rows, columns, strict=True):
             moved = model.mixing.copy()
@@ -401,7 +410,7 @@ def _background_slopes(
     powers = _powers(model, data)
     # Column j of B stands in G as B [K, I].
     whole = np.moveaxis(factor @ np.conj(model.coherent.T) + background, 2, 0)
-    rows, columns = np.tril_indices(data.size)
+    rows, columns = _below(data.size, 0)
     left = np.moveaxis(inverse[:, :, rows] * powers[:, None, columns], 2, 0)
     of_floor = left[..., :, None] * np.conj(whole[columns])[..., None, :]
     steep = np.moveaxis(background, 2, 0)[..., :, None] * np.conj(whole)[..., None, :]
