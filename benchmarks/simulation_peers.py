@@ -140,6 +140,11 @@ class ExudynBeam:
             arguments["forceUserFunction"] = force
         self._mbs.AddObject(self._exu.itemInterface.ObjectGenericODE2(**arguments))
 
+    def linearised(self) -> tuple[FloatArray, FloatArray]:
+        """Mass and stiffness matrix about the initial state, with the four coordinates of the clamp first."""
+        mass, stiffness, *_ = self._mbs.ComputeLinearizedSystem()
+        return np.asarray(mass), np.asarray(stiffness)
+
     def run(
         self,
         duration_s: float,
