@@ -109,7 +109,7 @@ _LONGEST_PLACE = 40
 app = typer.Typer(
     name="modalcam",
     help="Natural frequencies and damping ratios of a thin beam from high-speed recordings, "
-    "with calibrated uncertainty and a comparison with ANCF simulations.",
+    "with calibrated uncertainty and an ANCF comparison.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,

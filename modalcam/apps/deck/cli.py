@@ -27,7 +27,7 @@ def deck(
     ] = None,
     force: Replace = False,
 ) -> None:
-    """Print the measured damping as input lines of a simulation code."""
+    """Print the damping as input of a simulation code."""
     from modalcam.apps.deck.damping import damping_of
     from modalcam.apps.deck.registry import deck as written
     from modalcam.pipeline import load_run, write_text
