@@ -125,7 +125,7 @@ def record_line(seed: int, name: str) -> dict[str, Any]:
 def summary(lines: list[dict[str, Any]]) -> str:
     """One row per tool."""
     out = [
-        "| tool | modes found | rms of f, sd of the law | rms of ln zeta, the same | median error of zeta | in 90 % | CPU |",
+        "| tool | modes found | rms of f, sd of law | rms of ln zeta, same | median error of zeta | in 90 % | CPU |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for tool in dict.fromkeys(line["tool"] for line in lines):
