@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from kit.decks import paper_damping, read_by_the_code
 
-from modalcam.apps.deck import deck
 from sim import MEASURED_DAMPING_RATIO, paper_beam
 from sim.beam import AncfBeam, beam_modes
 from sim.damping import GenericDamping
@@ -18,6 +16,9 @@ TIP_M, DURATION_S, EVERY_S = 1e-3, 0.4, 2e-3
 @pytest.mark.parametrize(("number", "step_s"), [(2, 2e-4), (3, 5e-5)])
 def test_the_decay_of_exudyn_with_the_deck_is_ours(number, step_s):
     pytest.importorskip("exudyn")
+    deck = pytest.importorskip("modalcam.apps.deck", reason="an installation without apps").deck
+    from kit.decks import paper_damping, read_by_the_code
+
     from benchmarks.simulation_peers import ExudynBeam, load
 
     beam = AncfBeam(paper_beam(), 5)
