@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def record_line(seed: int, *, noise: bool) -> dict[str, Any]:
     modes = list(found.modes) if isinstance(found, Identification) else []
     line["reason"] = "" if found else str(found)
     line["modes"] = []
-    matched = {} if truth is None else _matches(truth, [mode.frequency_hz for mode in modes])
+    matched = {} if truth is None else matches(truth, [mode.frequency_hz for mode in modes])
     for index in range(0 if truth is None else truth.frequency_hz.size):
         true_hz, true_zeta = float(truth.frequency_hz[index]), float(truth.damping_ratio[index])
         row: dict[str, Any] = {"true_hz": true_hz, "true_zeta": true_zeta, "found": False}
@@ -62,7 +63,7 @@ def record_line(seed: int, *, noise: bool) -> dict[str, Any]:
     return line
 
 
-def _matches(truth: Truth, found_hz: list[float]) -> dict[int, int]:
+def matches(truth: Truth, found_hz: list[float]) -> dict[int, int]:
     """Index of the mode found for each true one that was found, nearest first: of two modes 3 % apart, one that was
     found is not taken for the other.
     """
@@ -110,25 +111,38 @@ def summary(lines: list[dict[str, Any]]) -> str:
     return "\n".join(out)
 
 
-def main() -> None:
-    """Run or summarise."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--noise", action="store_true")
+def arguments(description: str | None, records: int, first: int) -> argparse.ArgumentParser:
+    """Which records, and the file of lines to write or to read."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--records", type=int, default=records)
+    parser.add_argument("--first", type=int, default=first)
     parser.add_argument("--jsonl", type=Path)
     parser.add_argument("--summary", type=Path)
-    given = parser.parse_args()
+    return parser
+
+
+def lines_of(
+    given: argparse.Namespace, answer: Callable[[int], Iterable[dict[str, Any]]]
+) -> list[dict[str, Any]]:
+    """Lines of a file, or those of each record, which are added to a file as they are made."""
     if given.summary is not None:
-        lines = [json.loads(text) for text in given.summary.read_text("utf-8").splitlines()]
-        sys.stdout.write(summary(lines) + "\n")
-        return
+        return [json.loads(text) for text in given.summary.read_text("utf-8").splitlines()]
     lines = []
     for seed in range(given.first, given.first + given.records):
-        lines.append(record_line(seed, noise=given.noise))
-        if given.jsonl is not None:
-            with given.jsonl.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(lines[-1]) + "\n")
+        for line in answer(seed):
+            lines.append(line)
+            if given.jsonl is not None:
+                with given.jsonl.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+    return lines
+
+
+def main() -> None:
+    """Run or summarise."""
+    parser = arguments(__doc__, 200, 0)
+    parser.add_argument("--noise", action="store_true")
+    given = parser.parse_args()
+    lines = lines_of(given, lambda seed: [record_line(seed, noise=given.noise)])
     sys.stdout.write(summary(lines) + "\n")
 
 

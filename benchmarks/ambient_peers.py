@@ -12,44 +12,41 @@ the lowest mode as its 50.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
-import json
 import logging
 import sys
 import time
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.ambient import arguments, lines_of, matches
 from benchmarks.ambient_scenes import Truth, ambient_record
 from modal_id import Identification, IdentifySettings, identify
 from modal_id.ambient import log_sds
 from tracker import DisplacementSeries, FloatArray
 
-#: Frequency, damping ratio and the sd of the latter (NaN where none is stated) of each true mode, shape (m, 3); NaN
-#: where none was found.
+#: Frequency in Hz, damping ratio and the sd of the latter (NaN where none is stated) of each mode found, shape (k, 3).
 Peer = Callable[[DisplacementSeries, Truth], FloatArray]
 _NORMAL_90 = 1.6448536269514722
 SEGMENT_S, BLOCK_ROWS, LONG_BLOCK_ROWS, ORDER, MOST_ORDER = 102.4, 50, 170, 40, 50
 
 
-def modalcam(series: DisplacementSeries, truth: Truth) -> FloatArray:
-    """Modes found without the true frequencies; the nearest of each."""
+def modalcam(series: DisplacementSeries, _truth: Truth) -> FloatArray:
+    """Modes found without the true frequencies."""
     found = identify(series, IdentifySettings(excitation="ambient"))
     modes = found.modes if isinstance(found, Identification) else ()
     values = [(m.frequency_hz, m.damping_ratio, m.damping_ratio_sd) for m in modes]
-    return _nearest(np.array(values).reshape(-1, 3), truth)
+    return np.array(values).reshape(-1, 3)
 
 
 def ssi_cov(block_rows: int, *, with_sd: bool) -> Peer:
     """Covariance-driven subspace identification; with its own uncertainty where that is asked for."""
 
-    def found(series: DisplacementSeries, truth: Truth) -> FloatArray:
+    def found(series: DisplacementSeries, _truth: Truth) -> FloatArray:
         from pyoma2.algorithms import SSI  # noqa: PLC0415 - optional dependency
 
         result = _run(
@@ -57,7 +54,7 @@ def ssi_cov(block_rows: int, *, with_sd: bool) -> Peer:
         ).result
         hz, zeta = result.Fn_poles[:, ORDER], result.Xi_poles[:, ORDER]
         sd = result.Xi_poles_std[:, ORDER] if with_sd else np.full(zeta.shape, np.nan)
-        return _nearest(np.column_stack([hz, zeta, sd]), truth)
+        return np.column_stack([hz, zeta, sd])[np.isfinite(hz)]
 
     return found
 
@@ -74,7 +71,7 @@ def efdd(series: DisplacementSeries, truth: Truth) -> FloatArray:
         with contextlib.suppress(ValueError):
             done.mpe(sel_freq=[hz], MAClim=0.95)
             values.append((float(done.result.Fn[0]), float(done.result.Xi[0].item()), float("nan")))
-    return _nearest(np.array(values).reshape(-1, 3), truth)
+    return np.array(values).reshape(-1, 3)
 
 
 def _run(series: DisplacementSeries, algorithm: Any) -> Any:
@@ -88,18 +85,6 @@ def _run(series: DisplacementSeries, algorithm: Any) -> Any:
         warnings.simplefilter("ignore")
         setup.run_by_name("peer")
     return setup["peer"]
-
-
-def _nearest(values: FloatArray, truth: Truth) -> FloatArray:
-    """The nearest of these modes for each true one, each taken once; within 1 % or two half-widths."""
-    matched = np.full((truth.frequency_hz.size, 3), np.nan)
-    distance = np.abs(np.log(values[:, :1] / truth.frequency_hz))
-    distance[~np.isfinite(distance) | (distance > np.maximum(0.01, 2.0 * truth.damping_ratio))] = np.inf
-    while np.isfinite(distance).any():
-        row, mode = np.unravel_index(int(np.argmin(distance)), distance.shape)
-        matched[mode] = values[row]
-        distance[row], distance[:, mode] = np.inf, np.inf
-    return matched
 
 
 PEERS: dict[str, Peer] = {
@@ -116,10 +101,16 @@ def record_line(seed: int, name: str) -> dict[str, Any]:
     start = time.process_time()
     found = PEERS[name](series, truth)
     cpu_s = time.process_time() - start
-    true = np.column_stack([truth.frequency_hz, truth.damping_ratio])
+    taken = matches(truth, found[:, 0].tolist())
+    rows = [
+        found[taken[index]].tolist() if index in taken else [np.nan] * 3
+        for index in range(len(truth.frequency_hz))
+    ]
     # NaN is no JSON.
-    as_text = [[None if np.isnan(x) else float(x) for x in row] for row in found]
-    return {"seed": seed, "tool": name, "cpu_s": cpu_s, "true": true.tolist(), "found": as_text}
+    as_text = [[None if np.isnan(x) else x for x in row] for row in rows]
+    true = np.column_stack([truth.frequency_hz, truth.damping_ratio]).tolist()
+    span_s = float(series.time_s[-1])
+    return {"seed": seed, "tool": name, "cpu_s": cpu_s, "span_s": span_s, "true": true, "found": as_text}
 
 
 def summary(lines: list[dict[str, Any]]) -> str:
@@ -134,7 +125,7 @@ def summary(lines: list[dict[str, Any]]) -> str:
         true = np.array([row for line in own for row in line["true"]])
         seen = np.isfinite(found[:, 0])
         f, (true_hz, true_zeta) = found[seen], true[seen].T
-        span_s = 600.0
+        span_s = own[0]["span_s"]
         from_law = np.array([log_sds(hz, z, span_s, 1e6) for hz, z in zip(true_hz, true_zeta, strict=True)])
         errors = np.log(np.maximum(f[:, :2], 1e-12) / true[seen]) / from_law
         sd, ratio = f[:, 2], f[:, 1] / true_zeta - 1.0
@@ -150,24 +141,8 @@ def summary(lines: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Run or summarise."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=40)
-    parser.add_argument("--first", type=int, default=1600)
-    parser.add_argument("--jsonl", type=Path)
-    parser.add_argument("--summary", type=Path)
-    parser.add_argument("--tools", nargs="*", default=list(PEERS))
-    given = parser.parse_args()
-    if given.summary is not None:
-        lines = [json.loads(text) for text in given.summary.read_text("utf-8").splitlines()]
-        sys.stdout.write(summary(lines) + "\n")
-        return
-    lines = []
-    for seed in range(given.first, given.first + given.records):
-        for tool in given.tools:
-            lines.append(record_line(seed, tool))
-            if given.jsonl is not None:
-                with given.jsonl.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(lines[-1]) + "\n")
+    given = arguments(__doc__, 40, 1600).parse_args()
+    lines = lines_of(given, lambda seed: (record_line(seed, name) for name in PEERS))
     sys.stdout.write(summary(lines) + "\n")
 
 

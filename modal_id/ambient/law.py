@@ -32,7 +32,7 @@ def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: f
     aim = next((aim for aim in _AIMS if aim < 0.8 * log_sd), 0.5 * log_sd)
     needed_s = span_s * (log_sd / aim) ** 2
     return (
-        f"This record of {span_s / 60.0:.3g} min ({frequency_hz * span_s:.3g} cycles) gives the damping ratio, "
+        f"This record of {span_s / 60.0:.3g} min ({frequency_hz * span_s:.0f} cycles) gives the damping ratio, "
         f"{100.0 * damping_ratio:.3g} %, to {100.0 * log_sd:.2g} % of its value; {needed_s / 60.0:.2g} min would give "
         f"it to {100.0 * aim:.2g} %."
     )

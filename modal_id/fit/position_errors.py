@@ -26,15 +26,15 @@ class Tuning:
 
     #: [1] share of the samples that may differ from each other where values are rounded coarsely
     #: convention: Finer steps are below the noise.
-    different: float = 0.25
+    most_different: float = 0.25
     #: [steps] distance of a value from a multiple of the step that is a rounding error of the number itself
-    exact: float = 1e-3
+    exact_step: float = 1e-3
     #: [1] factor by which noise reduces the errors that return, below which they are ignored
     #: convention: They are then below a tenth of the other half of the error, which is noise.
-    least: float = 0.1
-    #: [1] number of simulated records
+    least_returning: float = 0.1
+    #: [1] number of simulated records whose values are rounded
     #: statistics: Their standard deviation is known to a fifth.
-    records: int = 16
+    rounded_records: int = 16
     #: [sd] amplitude below which the shrinkage by a codec hardly changes
     small: float = 5.0
     #: [1] correlation length of the shrinkage in asinh(amplitude)
@@ -89,14 +89,14 @@ def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: 
     linear, data = model.fit.linear, model.data
     steps = np.array([_step(series.values[:, channel]) for channel in channels])
     noise = np.sqrt(np.maximum(linear.noise_variance - steps**2 / 12.0, 0.0))
-    # the same as exp(-2 pi^2 (noise / step)^2) > least
-    reach = float(np.sqrt(-np.log(TUNING.least) / 2.0)) / np.pi
+    # the same as exp(-2 pi^2 (noise / step)^2) > least_returning
+    reach = float(np.sqrt(-np.log(TUNING.least_returning) / 2.0)) / np.pi
     coarse = np.flatnonzero((steps > 0.0) & (noise < reach * steps))
     if not coarse.size:
         return model
     rng = np.random.default_rng(0)
     fitted, shifts = data.values - linear.residual, []
-    for _ in range(TUNING.records):
+    for _ in range(TUNING.rounded_records):
         values = fitted + noise * rng.standard_normal(fitted.shape)
         about = steps * rng.random(steps.size)
         rounded = values.copy()
@@ -104,7 +104,7 @@ def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: 
         rounded[:, coarse] = steps[coarse] * np.round(of_step) - about[coarse]
         shift = refit(model, model.fit.poles, replace(data, values=rounded)).fit.poles - model.fit.poles
         shifts.append(np.column_stack([shift.real, shift.imag]).ravel())
-    more = np.array(shifts).T @ np.array(shifts) / TUNING.records
+    more = np.array(shifts).T @ np.array(shifts) / TUNING.rounded_records
     return replace(model, repeating=more if model.repeating is None else model.repeating + more)
 
 
@@ -112,13 +112,13 @@ def _step(values: FloatArray) -> float:
     """Step of which all values are multiples, but for an offset; 0 where they are not rounded coarsely."""
     finite = values[np.isfinite(values)]
     different = np.unique(finite)
-    if not 2 < different.size < TUNING.different * finite.size:
+    if not 2 < different.size < TUNING.most_different * finite.size:
         return 0.0
     apart = np.diff(different)
     apart = apart[apart > 1e-9 * float(np.max(np.abs(different)))]
     step = float(np.min(apart, initial=np.inf))
     places = (different - different[0]) / step
-    return step if np.all(np.abs(places - np.round(places)) < TUNING.exact) else 0.0
+    return step if np.all(np.abs(places - np.round(places)) < TUNING.exact_step) else 0.0
 
 
 # Samples at a time: the functions of time are dozens for each channel, and would take most memory of a long record.

@@ -4,9 +4,11 @@ import re
 
 import numpy as np
 import pytest
+import typer
 from kit.decks import paper_damping, rayleigh_lines, read_by_the_code
 
 from modalcam.apps.deck import CODES, DampedMode, Damping, damping_of, deck, register_code
+from modalcam.cli import app
 from modalcam.common import InputError
 from modalcam.pipeline import load_run
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
@@ -160,6 +162,11 @@ def test_a_run_gives_the_modes_of_its_table(samples_run):
     assert [mode.number for mode in damping.modes] == [1, 2, 3, 4, 5]
     assert all(mode.low < mode.damping_ratio < mode.high for mode in damping.modes)
     assert any("SHA-256" in line for line in damping.provenance)
+
+
+def test_the_help_of_the_command_names_every_code():
+    option = next(p for p in typer.main.get_command(app).commands["deck"].params if p.name == "code")
+    assert re.findall(r"[a-z_]{4,}", option.help.replace(" or ", ", ")) == list(CODES)
 
 
 def test_an_unknown_code_and_a_name_given_twice_are_refused():
