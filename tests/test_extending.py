@@ -18,6 +18,18 @@ PLUGINS = ("squares", "mean_ratio", "npy_reader", "frequencies", "path_figure", 
 SETTINGS = EXPERIMENT.replace('"blob"', '"square"') + '[damping]\nmodels = ["generic", "mean_ratio"]\n'
 
 
+# Figures take most of the time of a report; the plugin loaded after this one adds the only one. Nor is there a process
+# for each task, which would import for seconds.
+QUICK = """
+from support.worker_tasks import InThisProcess
+from modalcam.pipeline import pool
+from modalcam.report.figures import FIGURES
+
+FIGURES.clear()
+pool.LocalExecutor = InThisProcess
+"""
+
+
 def examples():
     """Python and template blocks by the file name in their first line."""
     text = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
@@ -35,10 +47,7 @@ def plugins(tmp_path):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    # Figures take most of the time of a report; the plugin loaded after it adds the only one.
-    (folder / "no_figures.py").write_text(
-        "from modalcam.report.figures import FIGURES\n\nFIGURES.clear()\n", encoding="utf-8"
-    )
+    (folder / "quick.py").write_text(QUICK, encoding="utf-8")
     distribution = folder / "longest-1.0.dist-info"
     distribution.mkdir()
     (distribution / "METADATA").write_text(
@@ -51,7 +60,7 @@ def plugins(tmp_path):
 
 
 def run(plugins, *arguments):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(plugins)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(plugins)])}
     command = [sys.executable, "-m", "modalcam", *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=840, check=False)
     assert done.returncode == 0, done.stderr
@@ -81,7 +90,7 @@ def test_all_plugins_reach_the_report(tmp_path, plugins):
     videos.mkdir()
     write_clip(videos / "take.npy")
     (videos / "experiment.toml").write_text(SETTINGS.lstrip(), encoding="utf-8")
-    names = ("no_figures", *PLUGINS)
+    names = ("quick", *PLUGINS)
     run(plugins, "run", videos, "-o", out, "--jobs", "1", *(x for n in names for x in ("--plugin", n)))
     report = (out / "report.html").read_text(encoding="utf-8")
     # The reader by its codec, the kind by its marker's name, the damping law by its name and colour, the figure by its
@@ -102,7 +111,7 @@ def test_a_series_is_read_in_the_format_of_a_plugin(tmp_path, plugins):
     decay = np.exp(-time_s) * np.cos(2 * np.pi * 10.2 * time_s)
     np.savez(tmp_path / "take.npz", time_s=time_s, displacement_mm=decay + noise)
     out = tmp_path / "out"
-    options = ("--unit", "mm", "--plugin", "no_figures", "--plugin", "npz_series")
+    options = ("--unit", "mm", "--plugin", "quick", "--plugin", "npz_series")
     run(plugins, "identify", tmp_path / "take.npz", "-o", out, *options)
     (mode,) = (load_run(out).recordings)[0].identification.modes
     assert mode.frequency_hz == pytest.approx(10.2, abs=0.01)

@@ -37,7 +37,9 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
     cost, waves = np.full((n + 1, n + 1), np.inf), np.zeros((n + 1, n + 1))
     a, power, weight = np.zeros((n, k), dtype=np.complex128), np.zeros(n), np.zeros(n)
     for b in range(n):
-        own = np.sum(np.abs(amplitude[b]) ** 2)
+        own = 0.0
+        for c in range(k):
+            own += _power(amplitude[b, c])
         if np.isfinite(own):
             a[b], power[b], weight[b] = amplitude[b], own, 1.0 / (1.0 + relative**2 * own)
     for i in range(n):
@@ -49,7 +51,8 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
                 energy += power[b]
                 count += 1
                 if b > i and weight[b - 1] > 0.0:
-                    lag += np.sum(np.conj(a[b - 1]) * a[b]) * weight[b - 1]
+                    for c in range(k):
+                        lag += np.conj(a[b - 1, c]) * a[b, c] * weight[b - 1]
                     before += (power[b - 1] - k) * weight[b - 1]
             variance = max(energy / max(k * count, 1), 1.0)
             cost[i, j] = 2.0 * k * count * np.log(variance) + 2.0 * energy / variance + penalty
@@ -86,24 +89,35 @@ def _one_wave(a: ComplexArray, weight: FloatArray, pole: complex, bends: int) ->
     The wave is holomorphic in l and q: Gauss-Newton in complex numbers, the amplitudes projected out.
     """
     n, k = a.shape
-    x = np.arange(n) - 0.5 * (n - 1)
+    middle = 0.5 * (n - 1)
     rate, bend = np.log(pole + 1e-12), 0j
     least, best = np.inf, rate
+    wave, own = np.empty(n, dtype=np.complex128), np.empty(n)
     for _ in range(_STEPS + 1):
-        exponent = rate * x + bend * x * x
-        wave = np.exp(np.minimum(exponent.real, _MOST_GROWTH) + 1j * exponent.imag)
-        own = weight * np.abs(wave) ** 2
-        s0, s1, s2 = np.sum(own), np.sum(own * x), np.sum(own * x**2)
-        s3, s4 = np.sum(own * x**3), np.sum(own * x**4)
+        s0 = s1 = s2 = s3 = s4 = 0.0
+        for b in range(n):
+            x = b - middle
+            exponent = (rate + bend * x) * x
+            wave[b] = np.exp(complex(min(exponent.real, _MOST_GROWTH), exponent.imag))
+            own[b] = weight[b] * _power(wave[b])
+            s0 += own[b]
+            s1 += own[b] * x
+            s2 += own[b] * x * x
+            s3 += own[b] * x * x * x
+            s4 += own[b] * x * x * x * x
         rss, size, g1, g2 = 0.0, 0.0, 0j, 0j
         for c in range(k):
-            amplitude = np.sum(weight * np.conj(wave) * a[:, c]) / max(s0, 1e-300)
-            left = a[:, c] - amplitude * wave
-            along = weight * np.conj(amplitude * wave) * left
-            rss += 2.0 * np.sum(weight * np.abs(left) ** 2)
-            size += abs(amplitude) ** 2
-            g1 += np.sum(along * x)
-            g2 += np.sum(along * x * x)
+            amplitude = 0j
+            for b in range(n):
+                amplitude += weight[b] * np.conj(wave[b]) * a[b, c]
+            amplitude /= max(s0, 1e-300)
+            size += _power(amplitude)
+            for b in range(n):
+                x, left = b - middle, a[b, c] - amplitude * wave[b]
+                rss += 2.0 * weight[b] * _power(left)
+                along = weight[b] * np.conj(amplitude * wave[b]) * left * x
+                g1 += along
+                g2 += along * x
         if rss < least:
             least, best = rss, rate
         h11, h12, h22 = (s2 - s1**2 / s0) * size, (s3 - s1 * s2 / s0) * size, (s4 - s2**2 / s0) * size
@@ -115,85 +129,120 @@ def _one_wave(a: ComplexArray, weight: FloatArray, pole: complex, bends: int) ->
         else:
             rate = rate + g1 / h11
             # no free motion grows
-            rate = min(rate.real, _GROWS) + 1j * rate.imag
+            rate = complex(min(rate.real, _GROWS), rate.imag)
     return least, np.exp(best)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _two_waves(a: ComplexArray, weight: FloatArray) -> float:
     """Twice the least weighted rss of two waves, from linear prediction by two blocks and Gauss-Newton."""
-    known = weight[:-2] * weight[1:-1] * weight[2:] > 0.0
     g00 = g11 = 0.0
     g01 = y0 = y1 = 0j
-    for c in range(a.shape[1]):
-        first, second, third = a[:-2, c] * known, a[1:-1, c] * known, a[2:, c] * known
-        g00 += np.sum(np.abs(second) ** 2)
-        g11 += np.sum(np.abs(first) ** 2)
-        g01 += np.sum(np.conj(second) * first)
-        y0 += np.sum(np.conj(second) * third)
-        y1 += np.sum(np.conj(first) * third)
-    det = g00 * g11 - abs(g01) ** 2
+    for b in range(2, weight.size):
+        if weight[b - 2] * weight[b - 1] * weight[b] > 0.0:
+            for c in range(a.shape[1]):
+                first, second, third = a[b - 2, c], a[b - 1, c], a[b, c]
+                g00 += _power(second)
+                g11 += _power(first)
+                g01 += np.conj(second) * first
+                y0 += np.conj(second) * third
+                y1 += np.conj(first) * third
+    det = g00 * g11 - _power(g01)
     if not det > _SINGULAR * g00 * g11:
         return np.inf
-    first_, second_ = (g11 * y0 - g01 * y1) / det, (g00 * y1 - np.conj(g01) * y0) / det
-    root = np.sqrt(first_ * first_ + 4.0 * second_)
-    poles = np.array([0.5 * (first_ + root), 0.5 * (first_ - root)])
+    first, second = (g11 * y0 - g01 * y1) / det, (g00 * y1 - np.conj(g01) * y0) / det
+    root = np.sqrt(first * first + 4.0 * second)
+    p, q = 0.5 * (first + root), 0.5 * (first - root)
     least = np.inf
     for _ in range(_STEPS + 1):
-        if not (np.max(np.abs(poles)) < _BOTH_GROW and abs(poles[0] - poles[1]) > 1e-9):
+        if not (max(abs(p), abs(q)) < _BOTH_GROW and abs(p - q) > 1e-9):
             break
-        rss, step = _step_of_two(a, weight, poles)
+        rss, step_p, step_q = _step_of_two(a, weight, p, q)
         least = min(least, rss)
-        if not np.all(np.isfinite(step)):
+        if not np.isfinite(step_p.real + step_p.imag + step_q.real + step_q.imag):
             break
-        poles = poles + step
+        p, q = p + step_p, q + step_q
     return least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step_of_two(a: ComplexArray, weight: FloatArray, poles: ComplexArray) -> tuple[float, ComplexArray]:
-    """Twice the weighted rss of two waves, and the Gauss-Newton step of their poles, amplitudes projected out."""
-    n, k = a.shape
-    waves, slopes = np.zeros((2, n), dtype=np.complex128), np.zeros((2, n), dtype=np.complex128)
-    waves[:, 0] = 1.0
-    for b in range(1, n):
-        waves[:, b] = waves[:, b - 1] * poles
-        slopes[:, b] = slopes[:, b - 1] * poles + waves[:, b - 1]
-    gram = _products(waves, waves, weight)
-    step = np.full(2, np.nan, dtype=np.complex128)
+def _step_of_two(
+    a: ComplexArray, weight: FloatArray, p: complex, q: complex
+) -> tuple[float, complex, complex]:
+    """Twice the weighted rss of two waves, and the Gauss-Newton steps of their poles, amplitudes projected out."""
+    wave, slope = _wave_and_slope(a.shape[0], p, q)
+    gram, cross = _products(wave, wave, weight), _products(wave, slope, weight)
+    unknown = complex(np.nan, 0.0)
     if not _is_regular(gram):
-        return np.inf, step
+        return np.inf, unknown, unknown
     inverse = _inverse(gram)
-    # what the waves do not explain of their derivatives by the poles
-    cross = _products(waves, slopes, weight)
+    # what the waves do not explain of the derivatives
     for u in range(2):
-        shares = inverse[:, 0] * cross[0, u] + inverse[:, 1] * cross[1, u]
-        slopes[u] -= shares[0] * waves[0] + shares[1] * waves[1]
-    curvature = np.zeros((2, 2), dtype=np.complex128)
-    rss, along = 0.0, np.zeros(2, dtype=np.complex128)
+        share0 = inverse[0, 0] * cross[0, u] + inverse[0, 1] * cross[1, u]
+        share1 = inverse[1, 0] * cross[0, u] + inverse[1, 1] * cross[1, u]
+        for b in range(a.shape[0]):
+            slope[b, u] -= share0 * wave[b, 0] + share1 * wave[b, 1]
+    rss, sizes, along = _residual_of_two(a, weight, wave, slope, inverse)
+    curvature = _products(slope, slope, weight) * sizes
+    if not _is_regular(curvature):
+        return rss, unknown, unknown
+    solved = _inverse(curvature)
+    step_p = solved[0, 0] * along[0] + solved[0, 1] * along[1]
+    return rss, step_p, solved[1, 0] * along[0] + solved[1, 1] * along[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wave_and_slope(n: int, p: complex, q: complex) -> tuple[ComplexArray, ComplexArray]:
+    """The wave of each pole in n blocks, and its derivative by the pole."""
+    wave, slope = np.zeros((n, 2), dtype=np.complex128), np.zeros((n, 2), dtype=np.complex128)
+    wave[0] = 1.0
+    for b in range(1, n):
+        wave[b, 0], wave[b, 1] = wave[b - 1, 0] * p, wave[b - 1, 1] * q
+        slope[b, 0] = slope[b - 1, 0] * p + wave[b - 1, 0]
+        slope[b, 1] = slope[b - 1, 1] * q + wave[b - 1, 1]
+    return wave, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residual_of_two(
+    a: ComplexArray, weight: FloatArray, wave: ComplexArray, slope: ComplexArray, inverse: ComplexArray
+) -> tuple[float, ComplexArray, ComplexArray]:
+    """Twice the weighted rss of two waves, inner products of their amplitudes, and of their slopes with the rest."""
+    n, k = a.shape
+    sizes, along = np.zeros((2, 2), dtype=np.complex128), np.zeros(2, dtype=np.complex128)
+    rss = 0.0
     for c in range(k):
-        moment0 = np.sum(weight * np.conj(waves[0]) * a[:, c])
-        moment1 = np.sum(weight * np.conj(waves[1]) * a[:, c])
-        amplitude = inverse[:, 0] * moment0 + inverse[:, 1] * moment1
-        left = a[:, c] - amplitude[0] * waves[0] - amplitude[1] * waves[1]
-        rss += 2.0 * np.sum(weight * np.abs(left) ** 2)
-        for u in range(2):
-            along[u] += np.conj(amplitude[u]) * np.sum(weight * np.conj(slopes[u]) * left)
-            curvature[u] += np.conj(amplitude[u]) * amplitude
-    curvature *= _products(slopes, slopes, weight)
-    if _is_regular(curvature):
-        solved = _inverse(curvature)
-        step[:] = solved[:, 0] * along[0] + solved[:, 1] * along[1]
-    return rss, step
+        moment0 = moment1 = 0j
+        for b in range(n):
+            moment0 += weight[b] * np.conj(wave[b, 0]) * a[b, c]
+            moment1 += weight[b] * np.conj(wave[b, 1]) * a[b, c]
+        own0 = inverse[0, 0] * moment0 + inverse[0, 1] * moment1
+        own1 = inverse[1, 0] * moment0 + inverse[1, 1] * moment1
+        for b in range(n):
+            left = a[b, c] - own0 * wave[b, 0] - own1 * wave[b, 1]
+            rss += 2.0 * weight[b] * _power(left)
+            along[0] += np.conj(own0 * slope[b, 0]) * weight[b] * left
+            along[1] += np.conj(own1 * slope[b, 1]) * weight[b] * left
+        sizes[0, 0] += np.conj(own0) * own0
+        sizes[0, 1] += np.conj(own0) * own1
+        sizes[1, 0] += np.conj(own1) * own0
+        sizes[1, 1] += np.conj(own1) * own1
+    return rss, sizes, along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _power(z: complex) -> float:
+    return float(z.real * z.real + z.imag * z.imag)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _products(left: ComplexArray, right: ComplexArray, weight: FloatArray) -> ComplexArray:
-    """Weighted inner products of the rows of two arrays of two rows."""
-    found = np.empty((2, 2), dtype=np.complex128)
-    for u in range(2):
-        for v in range(2):
-            found[u, v] = np.sum(weight * np.conj(left[u]) * right[v])
+    """Weighted inner products of the columns of two arrays of two columns."""
+    found = np.zeros((2, 2), dtype=np.complex128)
+    for b in range(weight.size):
+        for u in range(2):
+            for v in range(2):
+                found[u, v] += weight[b] * np.conj(left[b, u]) * right[b, v]
     return found
 
 
@@ -207,6 +256,10 @@ def _inverse(m: ComplexArray) -> ComplexArray:
     """Of a matrix of two rows."""
     found = np.empty((2, 2), dtype=np.complex128)
     det = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
-    found[0, 0], found[0, 1], found[1, 0], found[1, 1] = m[1, 1], -m[0, 1], -m[1, 0], m[0, 0]
-    found /= det
+    found[0, 0], found[0, 1], found[1, 0], found[1, 1] = (
+        m[1, 1] / det,
+        -m[0, 1] / det,
+        -m[1, 0] / det,
+        m[0, 0] / det,
+    )
     return found

@@ -125,8 +125,8 @@ def test_damaged_packets_give_no_wrong_position(tmp_path, codec, ending, pixels)
 @pytest.mark.parametrize(
     ("codec", "ending", "pixels", "shown"),
     [
-        ("mjpeg", "avi", "yuvj420p", True),
-        ("ffv1", "mkv", "gray", True),
+        pytest.param("mjpeg", "avi", "yuvj420p", True, marks=pytest.mark.slow),
+        pytest.param("ffv1", "mkv", "gray", True, marks=pytest.mark.slow),
         ("libx264", "mp4", "yuv420p", True),
         ("wmv2", "wmv", "yuv420p", True),
         ("libvpx", "webm", "yuv420p", False),

@@ -26,13 +26,16 @@ ODD = {
 }
 
 
-# One figure shows that drawing works there.
+# One figure shows that drawing works there; without a process of its own, which would import for seconds.
 ONE_FIGURE = """
 import sys
+from support.worker_tasks import InThisProcess
 from modalcam import cli
+from modalcam.pipeline import pool
 from modalcam.report.figures import FIGURES
 for key in FIGURES.keys() - {"decay"}:
     del FIGURES[key]
+pool.LocalExecutor = InThisProcess
 sys.argv[0] = "modalcam"
 cli.main()
 """
@@ -47,7 +50,12 @@ def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process, no_fig
     done = subprocess.run(
         [sys.executable, "-c", ONE_FIGURE, "identify", csv.name, "-o", "odd"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MPLCONFIGDIR": mpl.get_cachedir()} | ODD,
+        env=os.environ
+        | {
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
+            "MPLCONFIGDIR": mpl.get_cachedir(),
+        }
+        | ODD,
         capture_output=True,
         timeout=240,
         check=False,

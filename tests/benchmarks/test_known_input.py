@@ -54,8 +54,13 @@ def _check(found: Identification, which: slice = slice(None)) -> None:
         assert np.max(np.abs(scores)) < _LIMIT, f"{mode!r}: {scores} sd from {f} Hz and {z}"
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
-@pytest.mark.parametrize("kind", ["sweep", "random"])
+@pytest.mark.parametrize(
+    ("kind", "correlation"),
+    [
+        ("sweep", 0.8),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("sweep", 0.0), ("random", 0.8))),
+    ],
+)
 def test_the_truth_lies_in_the_interval(kind: str, correlation: float) -> None:
     found = _found(_series(record(kind, 1, correlation=correlation), input_sd=0.0))
     _check(found)

@@ -78,6 +78,7 @@ def modes(prongs):
     return modes
 
 
+@pytest.mark.slow  # in the fast suite: frequencies by Eq. 1 of both prongs, above
 def test_both_prongs_have_the_same_frequency(modes):
     left, right = modes
     gap = abs(left.frequency_hz - right.frequency_hz)
@@ -86,6 +87,7 @@ def test_both_prongs_have_the_same_frequency(modes):
     assert left.frequency_hz == pytest.approx(31.971, abs=0.003)
 
 
+@pytest.mark.slow
 def test_damping_of_a_prong_agrees_with_other_analyses_and_is_as_uncertain_as_the_clip(modes):
     """The amplitude falls by only a fifth.
 

@@ -22,6 +22,7 @@ def assert_right(mode, frequency_hz, zeta):
     assert abs(mode.damping_ratio - zeta) < 3.0 * mode.damping_ratio_sd, mode
 
 
+@pytest.mark.slow  # in the fast suite: the positions, tracker/follow/test_look_alikes.py
 def test_look_alikes_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tmp_path):
     swing = swing_px(80)
     # Three of the dots: fewer tell less which is which.

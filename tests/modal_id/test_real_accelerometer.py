@@ -61,6 +61,7 @@ def test_all_zero_record_is_refused_with_a_reason():
     assert "never changes" in found.reason
 
 
+@pytest.mark.slow  # in the fast suite: simulated clipping, data/
 def test_clipped_start_is_excluded():
     found = identified("30cm*21-12-02*")
     assert any("clipped" in note for note in found.notes)

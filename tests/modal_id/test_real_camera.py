@@ -35,6 +35,7 @@ def accelerometer():
     return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings(sampler=QUICK))
 
 
+@pytest.mark.slow  # in the fast suite: one of them, together with the accelerometer
 def test_two_bending_modes_from_the_camera_alone(camera):
     """Camera poles published by the authors: 695.4 and 1897.7 Hz with a negative damping ratio."""
     assert camera.onset.source == "peak"

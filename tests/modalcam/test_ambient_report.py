@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
 import modalcam as mc
@@ -27,7 +28,9 @@ def out(tmp_path_factory):
     table = record().to_dataframe()
     table[["time_s", "m1_mm", "m2_mm"]].to_csv(folder / "take.csv", index=False)
     command = ["identify", str(folder / "take.csv"), "-o", str(folder / "out"), "--excitation", "ambient"]
-    result = CliRunner().invoke(app, command)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
+        result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     return folder / "out"
 

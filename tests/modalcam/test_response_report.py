@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
 import modalcam as mc
@@ -35,7 +36,9 @@ def out(tmp_path_factory):
         "--unit",
         "mm",
     ]
-    result = CliRunner().invoke(app, command)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
+        result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     return folder / "out"
 

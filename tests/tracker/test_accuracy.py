@@ -98,8 +98,12 @@ TWO = {"markers": 2, "width_px": 256, "height_px": 120}
             {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
-        ("rotation", {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, **TWO}),
-        ("noise", {"kind": "aruco", "read_noise": 8.0, **TWO}),
+        pytest.param(
+            "rotation",
+            {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, **TWO},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("noise", {"kind": "aruco", "read_noise": 8.0, **TWO}, marks=pytest.mark.slow),
         pytest.param(
             "flicker",
             {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 120},
@@ -111,7 +115,11 @@ TWO = {"markers": 2, "width_px": 256, "height_px": 120}
             {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240},
             marks=pytest.mark.slow,
         ),
-        ("uneven light on dots", {"kind": "blob", **UNEVEN, "markers": 2, "height_px": 240}),
+        pytest.param(
+            "uneven light on dots",
+            {"kind": "blob", **UNEVEN, "markers": 2, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "12 bit",
             {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 120},
@@ -148,7 +156,7 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
 @pytest.mark.parametrize(
     ("codec", "suffix", "largest", "markers"),
     [
-        ("mjpeg", "avi", 1.6, 3),
+        pytest.param("mjpeg", "avi", 1.6, 3, marks=pytest.mark.slow),
         ("libx264", "mp4", 10.0, 2),
         pytest.param("libx264", "mp4", 10.0, 5, marks=pytest.mark.slow),
     ],

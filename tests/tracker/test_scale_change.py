@@ -133,7 +133,7 @@ def test_codes_move_with_their_fixed_points_where_the_scale_changes(tmp_path, mo
     # The film has codes of this family only; all are searched for in markers/test_detection.py.
     own = tuple(family for family in aruco.FAMILIES if "DICT_4X4_50" in family)
     monkeypatch.setattr(aruco, "FAMILIES", own)
-    case = CameraCase(zoom=0.02, frames=200, amplitude_px=20.0, markers=2)
+    case = CameraCase(zoom=0.02, frames=100, amplitude_px=20.0, markers=2)
     tracks = film(case, tmp_path, "aruco")
     beside = np.stack([tracks.x_px, tracks.y_px]) - case.xy_px()
     slopes = np.array([[np.polyfit(case.scale(), column, 1)[0] for column in axis.T] for axis in beside])

@@ -161,7 +161,7 @@ def test_a_hum_is_no_mode(clean):
     )
 
 
-@pytest.mark.parametrize("seed", [3, 1131])
+@pytest.mark.parametrize("seed", [pytest.param(3, marks=pytest.mark.slow), 1131])
 def test_two_modes_three_per_cent_apart_are_both_found(seed):
     """In seed 1131 the fit of one mode to both had an sd of a 20th of its error. 4 sd, which noise exceeds once in
     16 000.

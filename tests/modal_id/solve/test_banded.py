@@ -47,13 +47,13 @@ def peak_of(samples):
 
 
 def test_memory_is_linear_in_the_length_of_the_record():
-    """Two thousand cycles have 1600 splines: each of their matrices would take 20 MB if it were dense."""
+    """A thousand cycles have 800 splines: each of their matrices would take 5 MB if it were dense."""
     peak_of(1000)
-    short, _ = peak_of(4000)
-    long, found = peak_of(20_000)
+    short, _ = peak_of(2000)
+    long, found = peak_of(10_000)
     assert isinstance(found, Identification)
     assert found.modes[0].frequency_hz == pytest.approx(1.0, abs=5.0 * found.modes[0].frequency_sd_hz)
     assert long < 6.0 * short, (
-        f"{long / 1e6:.0f} MB for 20 000 samples and {short / 1e6:.0f} MB for 4000: expected five times as much, and a "
+        f"{long / 1e6:.1f} MB for 10 000 samples and {short / 1e6:.1f} MB for 2000: expected five times as much, and a "
         "fifth more for blocks of fixed size"
     )

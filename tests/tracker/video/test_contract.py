@@ -60,6 +60,14 @@ def test_time_stamps_are_read_without_decoding(case, tmp_path):
     assert np.array_equal(report.first_frame, frames[0].image)
 
 
+@pytest.fixture(scope="module")
+def collected():
+    """Cycles of what was imported and of earlier tests are collected once: each time would take half a second."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.mark.usefixtures("collected")
 @pytest.mark.parametrize("case", cases.WRITERS)
 def test_memory_does_not_grow_with_length(case, tmp_path):
     peaks = []
@@ -70,15 +78,12 @@ def test_memory_does_not_grow_with_length(case, tmp_path):
         source = open_recording(path)
         count = 0
         # Objects in cycles, as of a TIFF page, stay until a collection: with the default thresholds at any frame.
-        gc.collect()
-        gc.freeze()
         tracemalloc.start()
         for frame in source.frames():
             count += frame.image is not None
             gc.collect()
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-        gc.unfreeze()
         source.close()
         assert count == n
     # 100 more frames of 3 kB would take 300 kB; the page table of a TIFF takes 100 bytes per page.
