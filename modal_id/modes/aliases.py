@@ -320,7 +320,8 @@ def resolve_aliases(lines: Iterable[Line]) -> Aliases:
     Frequencies are considered up to half the rate at which the aliases in all recordings that show the mode repeat
     (250 Hz for 250 and 500 Hz), at most `Tuning.highest` times the highest rate and `Tuning.periods` times that of the
     line; a higher one is mistaken for one below the limit. The standard deviation of the line counts at each other
-    rate: where it exceeds the scatter, the odds from several are too large.
+    rate: where it exceeds the scatter, the odds from several are too large. Aliasing: Shannon (1949),
+    doi:10.1109/JRPROC.1949.232969; choice and tests of the likelihood: docs/decisions/0031-aliases.md.
     """
     lines = tuple(lines)
     by_rate: list[list[Line]] = []

@@ -93,6 +93,8 @@ def test_one_rate_lists_all_aliases_as_equally_probable():
         assert {alias.probability for alias in found.aliases} == {0.25}
         assert "Record the structure again at another rate" in str(found)
     assert not resolve_aliases([replace(line, doubtful=False)]).lines[0].applies
+    assert resolve_aliases([line, copy]).plot().get_legend() is not None
+    assert len(resolve_aliases([line, copy]).to_dataframe()) == 8
 
 
 def test_an_image_of_a_line_is_no_evidence():
