@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from modalcam.api import aliases as aliases
     from modalcam.api import displacement as displacement
     from modalcam.api import frf as frf
     from modalcam.api import identify as identify
@@ -42,6 +43,7 @@ __all__ = [
     "SimulationError",
     "TrackingError",
     "__version__",
+    "aliases",
     "displacement",
     "frf",
     "identify",
@@ -57,6 +59,7 @@ _SOURCES = {
     "track": ("modalcam.api", "track"),
     "displacement": ("modalcam.api", "displacement"),
     "identify": ("modalcam.api", "identify"),
+    "aliases": ("modalcam.api", "aliases"),
     "frf": ("modalcam.api", "frf"),
     "Beam": ("sim.beam.beam", "Beam"),
     "modes": ("sim.beam.beam", "natural_modes"),

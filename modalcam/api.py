@@ -15,6 +15,7 @@ from modalcam.common import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
     from modal_id import FrequencyResponse, Identification
+    from modal_id.modes import Aliases
     from modalcam.pipeline import Progress as RunProgress
     from modalcam.pipeline import RunResult
     from sim.beam import BeamModes
@@ -304,6 +305,47 @@ def identify(
         msg = f"{series.name}: {reasons}"
         raise IdentificationError(msg)
     return found
+
+
+def aliases(*found: Identification) -> Aliases:
+    """Which frequencies above half the sampling rate the modes may have, from recordings of one structure.
+
+    Parameters
+    ----------
+    *found : Identification
+        One for each recording, best at two or more sampling rates. One alone lists its aliases.
+
+    Returns
+    -------
+    Aliases
+        For each mode of each recording the frequencies that give the same samples, with their probabilities;
+        `to_dataframe` has one row per mode and frequency. Identified values are not changed.
+
+    Notes
+    -----
+    Model and bias: `modal_id.modes.resolve_aliases`. Modes with a damping ratio of 1 or more are left out.
+
+    Examples
+    --------
+    A mode of 128 Hz, recorded at 250 and at 400 frames per second:
+
+    >>> import numpy as np
+    >>> import modalcam as mc
+    >>> def record(fps):
+    ...     t = np.arange(400) / fps
+    ...     y = np.exp(-2 * t) * np.cos(2 * np.pi * 128 * t)
+    ...     return mc.identify(t, y + 0.01 * np.random.default_rng(1).standard_normal(t.size))
+    >>> slow, fast = mc.aliases(record(250.0), record(400.0)).lines
+    >>> round(slow.line.frequency_hz), round(slow.best.frequency_hz), slow.best.probability > 0.99
+    (122, 128, True)
+    """
+    from modal_id.modes import lines_of, resolve_aliases  # noqa: PLC0415
+
+    names = [one.series.name for one in found]
+    unique = [name if names.count(name) == 1 else f"{name} {k}" for k, name in enumerate(names, 1)]
+    return resolve_aliases(
+        line for name, one in zip(unique, found, strict=True) for line in lines_of(name, one)
+    )
 
 
 def _series(

@@ -261,6 +261,8 @@ def _outcome(console: Console, summary: dict[str, Any], internal_errors: int, *,
         console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
         for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
             console.print(_text(sentence))
+        for alias in summary["aliases"]:
+            console.print(_text(f"{alias['recording']}: {alias['finding']}"))
     return problems(console, summary, internal_errors)
 
 

@@ -1,3 +1,12 @@
+from .aliases import ALIAS_COLUMNS as ALIAS_COLUMNS
+from .aliases import Alias as Alias
+from .aliases import Aliases as Aliases
+from .aliases import Line as Line
+from .aliases import LineAliases as LineAliases
+from .aliases import alias_frequencies as alias_frequencies
+from .aliases import apparent_hz as apparent_hz
+from .aliases import lines_of as lines_of
+from .aliases import resolve_aliases as resolve_aliases
 from .combine import Combined as Combined
 from .combine import between_interval as between_interval
 from .combine import combine as combine

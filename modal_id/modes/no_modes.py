@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.flags import ModeFlag
+from modal_id.modes.aliases import apparent_hz
 from modal_id.posterior import SampledMode
 from modal_id.results import FailedMode
 from tracker import ComplexArray, FloatArray, PositionErrors
@@ -164,7 +165,7 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
     chance = 0.0
     for parts in tones:
         true = abs(sum(n * line.frequency for n, line in parts))
-        f = abs(true - rate_hz * round(true / rate_hz))
+        f = apparent_hz(true, rate_hz)
         highest = sum(abs(n) * line.rate for n, line in parts)
         lowest = parts[0][1].rate if len(parts) == 1 else highest
         f_reach = TUNING.agree_sd * float(

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modal_id.flags import SHAPE_DISAGREES_NOTE
+from modal_id.modes.aliases import apparent_hz
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.settings import IdentifySettings
@@ -260,7 +261,8 @@ def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> 
     if wanted_hz > 0.5 * rate_hz:
         return text + (
             f"At a sampling rate of {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at "
-            f"{_alias_hz(wanted_hz, rate_hz):.4g} Hz: record at more than {2.0 * wanted_hz:.4g} Hz or request the alias"
+            f"{apparent_hz(wanted_hz, rate_hz):.4g} Hz: record at more than {2.0 * wanted_hz:.4g} Hz or request the "
+            "alias"
         )
     return (
         text + "Check the requested frequency and the recorded frame rate, with which all frequencies scale"
@@ -275,11 +277,6 @@ def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: str) -> 
         if np.any(near):
             return f"{frequencies_hz[near][0]:.4g} Hz is {text} it: {cause}; "
     return ""
-
-
-def _alias_hz(frequency_hz: float, rate_hz: float) -> float:
-    """Apparent frequency, between 0 and half the sampling rate."""
-    return float(abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz)))
 
 
 def possible_aliases(
@@ -299,7 +296,7 @@ def possible_aliases(
     for index, expected in enumerate(settings.expected_frequencies_hz):
         if expected <= 0.5 * rate_hz:
             continue
-        near = abs(_alias_hz(expected, rate_hz) - frequency_hz) < TUNING.theory_error * expected
+        near = abs(apparent_hz(expected, rate_hz) - frequency_hz) < TUNING.theory_error * expected
         other = _mac(shape, index + 1, settings)
         ruled_out = own > MATCHING_MAC and other < MATCHING_MAC
         if near and not ruled_out:

@@ -38,6 +38,7 @@ from .dask import cluster_pool as cluster_pool
 from .frame_count import FrameCount as FrameCount
 from .identify import ImageRows as ImageRows
 from .identify import MeasuredMode as MeasuredMode
+from .identify import aliases as aliases
 from .identify import budgets as budgets
 from .identify import correct_amplitudes as correct_amplitudes
 from .identify import identify_series as identify_series

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id import FailedMode, Identification, IdentifiedMode, IdentifySettings
-from modal_id.modes import Combined, combine, mac
+from modal_id.modes import Combined, LineAliases, combine, lines_of, mac, resolve_aliases
 from modalcam.config import identify_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, Stage
@@ -338,6 +338,23 @@ def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
     phase = 0.5 * np.angle(np.sum(shape**2))
     amplitude = np.asarray(np.real(shape * np.exp(-1j * phase)), dtype=np.float64)
     return MeasuredShape(mode.number, 1e-3 * positions[known], amplitude, mode.shape_sd[known])
+
+
+def aliases(recordings: Iterable[RecordingResult]) -> tuple[LineAliases, ...]:
+    """Lines of a run that may be aliases by themselves, or by what recordings at other rates show.
+
+    All recordings are taken to be of one structure. Those without a recorded rate, whose frequencies are unknown, and
+    further copies of one file are left out.
+    """
+    different = {recording.sha256 or recording.name: recording for recording in recordings}
+    found = resolve_aliases(
+        line
+        for recording in different.values()
+        if recording.identified is not None
+        and not (isinstance(recording.tracks, MarkerTracks) and recording.tracks.time_axis.is_playback_guess)
+        for line in lines_of(recording.name, recording.identified)
+    )
+    return tuple(one for one in found.lines if one.applies)
 
 
 @dataclass(frozen=True)

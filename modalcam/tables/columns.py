@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
+from modal_id.modes import ALIAS_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS
 from sim.updating import UPDATING_COLUMNS
 from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
@@ -64,6 +65,7 @@ DRAG_COLUMNS = (
 TABLES: Mapping[str, tuple[Column, ...]] = {
     "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),
     "modes.csv": (_RECORDING, *MODE_COLUMNS),
+    "aliases.csv": ALIAS_COLUMNS,
     "shapes.csv": SHAPE_COLUMNS,
     "response/*.csv": RESPONSE_COLUMNS,
     "participation.csv": PARTICIPATION_COLUMNS,

@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from modal_id.modes import Aliases
 from modalcam.common import csv_safe
 from modalcam.config import ExperimentConfig
-from modalcam.pipeline import RecordingResult, RunResult, Workspace, mode_table, replacing
+from modalcam.pipeline import RecordingResult, RunResult, Workspace, aliases, mode_table, replacing
 from modalcam.tables.base import Output, Writer
 from modalcam.tables.columns import DRAG_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS, DecayComparison
@@ -63,6 +64,12 @@ def _track_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig)
             yield Output(workspace.tracks(recording.name), recording.tracks, write)
 
 
+def _alias_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    if lines := aliases(result.recordings):
+        write = partial(write_table, parts=(Aliases(lines).to_dataframe(),))
+        yield Output(workspace.out / "aliases.csv", result, write)
+
+
 def table_writer(
     name: str,
     description: str,
@@ -109,6 +116,13 @@ def _safe(table: pd.DataFrame) -> pd.DataFrame:
 TRACKS = Writer("tracks", "tracks/<recording>.csv", "one row per frame and marker", _track_outputs)
 MODES = _table(
     "modes", "one row per recording and identified mode", lambda result: mode_table(result.recordings)
+)
+ALIASES = Writer(
+    "aliases",
+    "aliases.csv",
+    "only where a frequency may lie above half the sampling rate: the frequencies that it may be, with their "
+    "probabilities, one row per recording, mode and frequency",
+    _alias_outputs,
 )
 COMPARISON = table_writer(
     "comparison",

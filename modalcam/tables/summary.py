@@ -20,7 +20,7 @@ from modal_id import (
     Identification,
     IdentifiedMode,
 )
-from modal_id.modes import find_nodes
+from modal_id.modes import ALIAS_COLUMNS, find_nodes
 from modalcam.common import shown
 from modalcam.config import ExperimentConfig, dump_config
 from modalcam.pipeline import (
@@ -28,6 +28,7 @@ from modalcam.pipeline import (
     RecordingResult,
     RunResult,
     Workspace,
+    aliases,
     budgets,
     model_scores,
     write_json,
@@ -50,6 +51,14 @@ def summary(result: RunResult) -> dict[str, Any]:
         "seed": result.seed,
         "config": result.resolved_config,
         "recordings": [_recording(recording, result.beam) for recording in result.recordings],
+        "aliases": [
+            {
+                "recording": line.line.recording,
+                "finding": str(line),
+                "frequencies": [table_row(ALIAS_COLUMNS, (line, one)) for one in line.aliases],
+            }
+            for line in aliases(result.recordings)
+        ],
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
         "scores": model_scores(result.recordings),
         "drag": drag_rows(result.recordings),

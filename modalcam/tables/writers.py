@@ -24,6 +24,7 @@ WRITERS: dict[str, Writer] = {
         netcdf.POSTERIOR,
         uff.UNIVERSAL,
         tables.MODES,
+        tables.ALIASES,
         shapes.SHAPES,
         response.RESPONSE,
         response.PARTICIPATION,

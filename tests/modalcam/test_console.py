@@ -29,7 +29,7 @@ def recording(file, *, failure="", failed_modes=(), modes=(), fitting_rate=None)
 
 def write_summary(folder, *recordings):
     provenance = {"program": "1.0", "command_line": "modalcam run videos"}
-    summary = provenance | {"recordings": recordings, "not_done": []}
+    summary = provenance | {"recordings": recordings, "aliases": [], "not_done": []}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 

@@ -17,6 +17,7 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.data import MIN_SAMPLES, bandwidth_hz, baseline_matrix
+from modal_id.modes import apparent_hz
 from modal_id.posterior import ModalBound, modal_bound
 from modal_id.segments import settling_s
 from modal_id.solve import pole
@@ -360,7 +361,7 @@ def _one(mode: PlannedMode, motion: Motion, curves: _Curves) -> ModePlan:
     return ModePlan(
         planned=mode,
         frequency_hz=frequency,
-        seen_hz=float(abs(frequency - fps * round(frequency / fps))),
+        seen_hz=apparent_hz(frequency, fps),
         decay_s=decay.decay_s,
         amplitude_px=decay.amplitude_px,
         blur_px=float(decay.speed_px_s.max() * mode.camera.exposure_s),

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modal_id import Identification, IdentifiedMode, IdentifySettings, identify
+from modal_id.modes import apparent_hz
 from modalcam.apps.plan.predict import motions, predict
 from modalcam.apps.plan.request import (
     BetterPositions,
@@ -288,7 +289,7 @@ def frame_rates(modes: tuple[ModePlan, ...]) -> tuple[FrameRate, ...]:
 
 def _rate(fps: float, modes: tuple[ModePlan, ...]) -> FrameRate:
     frequency = [m.frequency_hz for m in modes]
-    seen = tuple(abs(f - fps * round(f / fps)) for f in frequency)
+    seen = tuple(apparent_hz(f, fps) for f in frequency)
     return FrameRate(tuple(m.number for m in modes), fps, seen, max(frequency) > 0.5 * fps)
 
 
