@@ -84,7 +84,7 @@ def cover(seeds, posterior):
 @pytest.mark.parametrize(
     ("seeds", "posterior"),
     [
-        (range(5), partial(integrated, modes=1)),
+        (range(3), partial(integrated, modes=1)),
         pytest.param(range(200, 280), sampled, marks=pytest.mark.slow),
     ],
     ids=["integrated", "sampled"],
@@ -110,7 +110,7 @@ LIMIT_PERCENT = np.array([0.30, 0.20, 0.15, 0.12, 0.12])
 
 @pytest.mark.parametrize(
     ("seeds", "posterior"),
-    [(range(2), partial(integrated, modes=2)), pytest.param(range(40), sampled, marks=pytest.mark.slow)],
+    [(range(1), partial(integrated, modes=2)), pytest.param(range(40), sampled, marks=pytest.mark.slow)],
     ids=["integrated", "sampled"],
 )
 def test_disturbed_records(seeds, posterior):

@@ -194,7 +194,7 @@ def coverage(cases, prior, *, elements, draws):
 
 def test_interval_coverage_for_beams_from_the_prior():
     """Few beams; the variables of one beam are correlated, so the number of beams determines the standard error."""
-    cases = 20
+    cases = 12
     found = coverage(cases, SmoothPrior(0.05, 0.3), elements=5, draws=60)
     for level, share in found.items():
         # the scatter of the mean over 14 variables is at most that of one variable
