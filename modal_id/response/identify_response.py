@@ -14,10 +14,12 @@ from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
+from modal_id.response.channel import Channel
 from modal_id.response.columns import Samples
 from modal_id.response.frf import TUNING as FRF
 from modal_id.response.frf import coherence, local_polynomial, model_bands
 from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.lag import fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import ResponseFit, left_at_mode
 from modal_id.response_values import FrequencyResponse
@@ -43,6 +45,9 @@ class Tuning:
     steps: float = 5.0
     #: [1] share of missing input samples above which the record is refused
     most_missing: float = 0.1
+    #: [1] largest given lag of the input over the span of the record
+    #: convention: Beyond, the channels do not belong together.
+    most_lag: float = 0.5
     #: [1] relative sd of the damping ratio above which a mode is not determined
     #: statistics: Its 90 % interval would reach half of the value.
     most_relative_sd: float = 0.3
@@ -84,7 +89,9 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
     if isinstance(samples, str):
         return Failure(samples, series.name)
     rows, data = samples
-    found = fit_response(data, settings.max_modes, _lowest_hz(settings), known.sd)
+    found = _fitted(data, known, settings)
+    if isinstance(found, str):
+        return Failure(found, series.name)
     if found is None:
         reason = (
             f"no mode exceeds the noise in the response to {known.name}; excite the structure over the frequencies of "
@@ -92,6 +99,30 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
         )
         return Failure(reason, series.name)
     return with_rate_error(_assembled(series, prepared, rows, known, found, settings))
+
+
+def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | str | None:
+    """The fit, with the lag of the input as asked for; why there is none; None where no mode exceeds the noise."""
+    options = settings.max_modes, _lowest_hz(settings), known.sd
+    if settings.input_lag_ms == "auto":
+        found = fit_with_lag(data, *options)
+        if not isinstance(found, str):
+            return found
+        return (
+            f"the lag of the input {known.name} {found}: the input may be that of another record, or late by more; "
+            "bring both to the same clock, and give what is left by input_lag_ms"
+        )
+    if settings.input_lag_ms is None:
+        return fit_response(data, *options)
+    lag_s = 1e-3 * settings.input_lag_ms
+    if abs(lag_s) > TUNING.most_lag * data.span_s:
+        return (
+            f"the lag of the input {known.name}, {settings.input_lag_ms:g} ms, leaves less than "
+            f"{100.0 * (1.0 - TUNING.most_lag):.0f} % of the record of {data.span_s:.3g} s: bring both to one clock"
+        )
+    channel = Channel.through(data.time_s, data.input, data.given)
+    late = replace(data, channel=channel).with_lag(lag_s)
+    return fit_response(replace(late, channel=None), *options)
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:
@@ -432,4 +463,6 @@ def _response(
         local=local[kept],
         local_sd=local_sd[kept],
         coherence=coherence(samples)[kept],
+        input_lag_s=samples.lag_s,
+        input_lag_sd_s=found.lag_sd_s,
     )

@@ -11,7 +11,9 @@ from benchmarks.known_input_scenes import (
     FREQUENCIES_HZ,
     NOISE_MM,
     PARTICIPATION,
+    RATE_HZ,
     Record,
+    late_base,
     motion,
     record,
 )
@@ -75,6 +77,44 @@ def test_shaking_by_hand_shows_the_mode_that_it_drives() -> None:
 @pytest.mark.parametrize(("kind", "seed"), [("random", 3), ("sweep", 29), ("broad", 12)])
 def test_noise_of_the_input_does_not_bias_damping(kind: str, seed: int) -> None:
     _check(_found(_series(record(kind, seed, input_noise_mm=0.02), input_sd=0.02)))
+
+
+@pytest.mark.parametrize(("kind", "seed", "lag"), [("random", 1, 2.64), ("hand", 2, -6.48)])
+def test_the_lag_of_the_input_is_estimated(kind: str, seed: int, lag: float) -> None:
+    """The base motion is that of another time, by its closed form; lag in samples."""
+    lag_s = lag / RATE_HZ
+    series = _series(replace(record(kind, seed), base=late_base(kind, seed, lag_s)), input_sd=0.0)
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    assert isinstance(found, Identification), str(found)
+    _check(found, slice(0, 1 if kind == "hand" else 2))
+    assert found.response is not None
+    off_s, sd_s = found.response.input_lag_s - lag_s, found.response.input_lag_sd_s
+    assert abs(off_s) < _LIMIT * sd_s, f"lag off by {off_s:.2g} s, sd {sd_s:.2g} s"
+    # Noise of 1/30 of the base motion at some Hz, averaged over thousands of samples, moves it by parts of a sample.
+    assert sd_s < 0.1 / RATE_HZ
+    stated = identify(series, IdentifySettings(input_lag_ms=1e3 * lag_s))
+    assert isinstance(stated, Identification), str(stated)
+    _check(stated, slice(0, len(found.modes)))
+
+
+def test_a_lag_without_an_input_is_refused() -> None:
+    series = replace(_series(record("decay", 5)), known_input=None)
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    assert isinstance(found, Failure)
+    assert "no input was measured" in found.reason
+
+
+def test_a_lag_beyond_the_record_is_refused() -> None:
+    found = identify(_series(record("random", 7)), IdentifySettings(input_lag_ms=15e3))
+    assert isinstance(found, Failure)
+    assert "leaves less than 50 %" in found.reason
+
+
+def test_no_mode_of_the_input_of_another_record_is_without_a_flag() -> None:
+    series = _series(replace(record("random", 1), base=record("random", 2).base))
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    modes = found.modes if isinstance(found, Identification) else ()
+    assert all(mode.flags for mode in modes), f"the input is unrelated, found {found!r}"
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.02])
