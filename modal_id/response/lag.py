@@ -121,6 +121,13 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     def score(lag_s: float) -> float:
         return Weighted(samples.with_lag(float(lag_s)), poles, weights).score
 
+    # The grid takes the record as periodic: where much motion is left at its end, the minimum lies beside.
+    least, turn = (
+        score(near_s),
+        1.0 if score(near_s + samples.step_s) < score(near_s - samples.step_s) else -1.0,
+    )
+    while abs(near_s) < limit_s and (beside := score(near_s + turn * samples.step_s)) < least:
+        near_s, least = near_s + turn * samples.step_s, beside
     reach = near_s - samples.step_s, near_s + samples.step_s
     best = minimize_scalar(score, bounds=reach, method="bounded", options={"xatol": 1e-3 * samples.step_s})
     return float(np.clip(best.x, -limit_s, limit_s))

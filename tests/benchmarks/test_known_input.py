@@ -110,6 +110,7 @@ def test_a_lag_beyond_the_record_is_refused() -> None:
     assert "leaves less than 50 %" in found.reason
 
 
+@pytest.mark.slow
 def test_no_mode_of_the_input_of_another_record_is_without_a_flag() -> None:
     series = _series(replace(record("random", 1), base=record("random", 2).base))
     found = identify(series, IdentifySettings(input_lag_ms="auto"))
@@ -209,6 +210,14 @@ def _altered(change: str) -> DisplacementSeries:
         values[:] = 1.0
     elif change == "clipped":
         values = np.clip(values, -0.1, 0.1)
+    elif change == "lower rate":
+        values = np.repeat(values[::4], 4)
+    elif change == "outputs at a lower rate":
+        outputs = series.values.copy()
+        outputs[np.arange(len(outputs)) % 4 > 0] = np.nan
+        return replace(series, values=outputs)
+    elif change == "shorter":
+        values[4000:] = np.nan
     else:
         values[1000:3000] = np.nan
     return replace(series, known_input=replace(series.known_input, values=values))
@@ -216,12 +225,35 @@ def _altered(change: str) -> DisplacementSeries:
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [("still", "does not move"), ("clipped", "is clipped"), ("gap", "is missing in 25 %")],
+    [
+        ("still", "does not move"),
+        ("clipped", "is clipped"),
+        ("gap", "is missing in 25 %"),
+        ("shorter", "is missing in 50 %"),
+        ("lower rate", "keeps each value for 4 samples"),
+        ("outputs at a lower rate", "have a value in 25 % of the rows"),
+    ],
 )
 def test_an_input_that_cannot_be_used_is_refused_with_the_reason(change: str, words: str) -> None:
     found = identify(_altered(change))
     assert isinstance(found, Failure)
     assert words in found.reason
+
+
+def test_an_input_is_not_fitted_beyond_the_outputs() -> None:
+    series = _series(record("random", 7), input_sd=0.0)
+    series.values[6000:] = np.nan
+    found = _found(series)
+    _check(found)
+    assert any("from 0 to 15 s" in note for note in found.notes)
+
+
+def test_an_input_of_another_clock_is_said() -> None:
+    """Late by 2 ms more at the end than at the start: a hundredth of a period of the lower mode a second."""
+    one = record("random", 7)
+    late = np.interp(1.0001 * one.time_s, one.time_s, one.base)
+    found = _found(_series(replace(one, base=late)))
+    assert any("do not share a clock" in note for note in found.notes)
 
 
 def test_an_input_of_another_length_is_refused() -> None:
