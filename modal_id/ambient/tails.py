@@ -15,8 +15,9 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Iteration."""
 
-    #: [1] largest number of steps, and of halvings of each
+    #: [1] largest number of steps
     steps: int = 40
+    #: [1] largest number of halvings of a step
     halvings: int = 10
     #: [1] gain in log likelihood that ends it
     #: statistics: A tenth of the gain that moves a parameter by one sd.
