@@ -31,26 +31,27 @@ class Record:
     values: np.ndarray
 
 
+def _sweep_at(t: np.ndarray | float) -> np.ndarray:
+    """Base motion of 3 to 45 Hz that fades in."""
+    t = np.asarray(t)
+    phase = 6.0 * np.pi * t + np.pi * 42.0 / SPAN_S * t**2
+    return np.asarray(0.2 * (1.0 - np.exp(-((t / 0.3) ** 4))) * np.sin(phase))
+
+
 @lru_cache(maxsize=16)
 def _sweep(modes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Base motion of 3 to 45 Hz that fades in, and the modes' responses to it."""
-    time_s, span_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ, SPAN_S
+    """Base motion, and the modes' responses to it."""
+    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
     omega, ratios = 2.0 * np.pi * np.array(modes[:2]), np.array(modes[2:])
-    rate = 2.0 * np.pi * 42.0 / span_s
-
-    def base(t: np.ndarray | float) -> np.ndarray:
-        return (
-            0.2 * (1.0 - np.exp(-((np.asarray(t) / 0.3) ** 4))) * np.sin(6.0 * np.pi * t + 0.5 * rate * t**2)
-        )
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
         # Relative coordinate plus base motion, x'' = -w^2 (x - u) - 2 zeta w (x' - u'), with v = x' - 2 zeta w u.
         x, v, two = y[:2], y[2:], 2.0 * ratios * omega
-        u = float(base(t))
+        u = float(_sweep_at(t))
         return np.concatenate([v + two * u, -(omega**2) * (x - u) - two * (v + two * u)])
 
     found = solve_ivp(slope, (0.0, time_s[-1]), np.zeros(4), "DOP853", time_s, rtol=1e-10, atol=1e-12)
-    u = base(time_s)
+    u = _sweep_at(time_s)
     return u, found.y[:2].T - u[:, None]
 
 
@@ -59,11 +60,8 @@ def _waves(lines: tuple[float, ...]) -> np.ndarray:
     return np.exp(np.outer(np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ, 2j * np.pi * np.array(lines)))
 
 
-def _sinusoids(
-    kind: str, generator: np.random.Generator, modes: tuple[float, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """A random base motion from rest of the beam, and the modes' responses to it."""
-    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
+def _lines(kind: str, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies in Hz and complex amplitudes of the sinusoids of a random base motion."""
     low, high, size = {"random": (2.0, 60.0, 0.15), "broad": (0.5, 195.0, 0.27), "hand": (0.6, 12.0, 0.6)}[
         kind
     ]
@@ -72,6 +70,15 @@ def _sinusoids(
     factor = generator.standard_normal((400, 2)) @ np.array([1.0, 1j]) * size / np.sqrt(400)
     if kind == "hand":
         factor = factor / (1.0 + (lines / 3.0) ** 2)
+    return lines, factor
+
+
+def _sinusoids(
+    kind: str, generator: np.random.Generator, modes: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A random base motion from rest of the beam, and the modes' responses to it."""
+    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
+    lines, factor = _lines(kind, generator)
     s = 2j * np.pi * lines
     waves = _waves(tuple(lines))
     base = np.real(waves @ factor)
@@ -93,6 +100,15 @@ def motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Base motion, and the motion of the modes relative to it for a unit participation; frequencies, damping ratios."""
     return _sweep(modes) if kind == "sweep" else _sinusoids(kind, generator, modes)
+
+
+def late_base(kind: str, seed: int, lag_s: float) -> np.ndarray:
+    """The base motion of `record` as a channel shows it whose clock is late by `lag_s`."""
+    time_s = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
+    if kind == "sweep":
+        return _sweep_at(time_s - lag_s)
+    lines, factor = _lines(kind, np.random.default_rng([seed, KINDS.index(kind)]))
+    return np.real(_waves(tuple(lines)) @ (factor * np.exp(-2j * np.pi * lines * lag_s)))
 
 
 def record(

@@ -63,6 +63,7 @@ _TWO_EXCITATIONS = (
     'the input was measured, and excitation is "ambient", for forces that are not measured: give one of the two; '
     "output_only ignores the input"
 )
+_NO_INPUT = "a lag of the input is asked for, but no input was measured: name it, or omit input_lag_ms"
 _STEADY = "The motion does not decay: it is driven, or decays too slowly for this record."
 _HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
 _FAINT = "The decay here is much weaker than another one of the record."
@@ -102,6 +103,8 @@ def identify(
         if settings.excitation == "ambient":
             return Failure(_TWO_EXCITATIONS, series.name)
         return identify_response(series, settings)
+    if series.known_input is None and settings.input_lag_ms is not None:
+        return Failure(_NO_INPUT, series.name)
     sampled = sampled_rows(series)
     if sampled is not None:
         # the others repeat them

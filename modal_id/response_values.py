@@ -69,6 +69,10 @@ class FrequencyResponse(Table):
     coherence : array, shape (f, k)
         Squared coherence of output and input in windows of neighbouring bins, 0 to 1; 1 - coherence contains the error
         of the estimate's resolution beside the noise.
+    input_lag_s : float
+        By which the input was taken to be late; 0 where no lag was asked for.
+    input_lag_sd_s : float
+        Its standard deviation; NaN where it was not estimated.
     """
 
     frequency_hz: FloatArray
@@ -81,6 +85,8 @@ class FrequencyResponse(Table):
     local: ComplexArray
     local_sd: FloatArray
     coherence: FloatArray
+    input_lag_s: float = 0.0
+    input_lag_sd_s: float = float("nan")
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row for each channel and frequency."""

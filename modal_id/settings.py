@@ -93,6 +93,13 @@ class IdentifyOptions(Options):
         examples=[True],
     )
 
+    input_lag_ms: Annotated[float, Field(ge=-1e6, le=1e6)] | Literal["auto"] | None = Field(
+        default=None,
+        description="Time by which a measured input is late against the outputs, in ms (negative: early), or "
+        '"auto": it is estimated, with its standard deviation, to parts of a sample. Without it both have one clock.',
+        examples=["auto"],
+    )
+
     @model_validator(mode="after")
     def _ends_after_onset(self) -> Any:
         if self.onset_s is not None and self.end_s is not None and self.end_s <= self.onset_s:

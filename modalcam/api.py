@@ -196,6 +196,7 @@ def identify(
     input: ArrayLike | None = None,  # noqa: A002 - the field's word
     input_unit: str | None = None,
     input_sd: float = float("nan"),
+    input_lag_ms: float | Literal["auto"] | None = None,
 ) -> Identification:
     """Identify modes from a free decay, from ambient vibration, or from the response to a measured input.
 
@@ -230,6 +231,8 @@ def identify(
         Unit of `input`. Default: that of `y`, a motion of the base; any other means a force.
     input_sd : float
         Standard deviation of the noise of `input`; NaN where unknown: it is then taken from the floor of its spectrum.
+    input_lag_ms : float or "auto", optional
+        Time in ms by which `input` is late against `y`; "auto" estimates it, with the modes. Default: one clock.
 
     Returns
     -------
@@ -296,6 +299,7 @@ def identify(
         end_s=end_s,
         seed=seed,
         excitation=excitation,
+        input_lag_ms=input_lag_ms,
     )
     found = identify_series(series, settings)
     if isinstance(found, Failure):

@@ -12,9 +12,11 @@ from modal_id.ambient.expected import variance
 from modal_id.ambient.law import law_note
 from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandFit, spectrum
+from modal_id.ambient.order import TUNING as ORDER
 from modal_id.ambient.order import Order, choose_order, shares
 from modal_id.ambient.spectrum import Spectrum, spectrum_of
 from modal_id.ambient.stationarity import not_stationary
+from modal_id.ambient.tails import log_odds_over_tails
 from modal_id.data import Prepared
 from modal_id.fit import nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
@@ -55,6 +57,9 @@ class Tuning:
     #: measurement: Errors over the sd have an rms of 1.15 in 20 simulated records of four modes, alike for all damping
     #: ratios: skirts of other modes tilt a peak more than the background of a band can follow.
     frequency_factor: float = 1.15
+    #: [modes] number of modes of other bands whose tails may be what a band shows
+    #: physics: One on each side; those beyond are weaker and change less.
+    tails: int = 2
     #: [rounds] number of times that bands are chosen by the damping ratios fitted before
     #: measurement: With two, the weaker of two modes 3 % apart was seen in the last but one, and lost.
     rounds: int = 3
@@ -128,6 +133,7 @@ def identify_ambient(
     modes = [
         _mode(found, one.band, one.order.fit, index, one.order.log_odds[index], one.order.misfit)
         for one in fitted
+        if not _is_tail(one, fitted)
         for index in np.flatnonzero(one.stands_out & one.fits_in).tolist()
     ]
     modes.sort(key=lambda one: one.frequency_hz)
@@ -200,6 +206,22 @@ def _bands(found: Spectrum) -> tuple[Spectrum, list[_Fitted], list[float]]:
             for band in bands_of(found, seen, BANDS.first_reach if further else 1.0)
         ]
     return found, fitted, lines_hz
+
+
+def _is_tail(band: _Fitted, fitted: list[_Fitted]) -> bool:
+    """Whether the strongest modes of other bands explain the modes of a band as well."""
+    middle_hz = np.sqrt(band.band.low_hz * band.band.high_hz)
+    beside = []
+    for other in (other for other in fitted if other is not band):
+        fit = other.order.fit
+        power = np.sum((fit.data.directions @ fit.model.shapes) ** 2, axis=0)
+        for index in np.flatnonzero(other.stands_out & other.fits_in).tolist():
+            hz, zeta = float(np.exp(fit.model.log_hz[index])), float(np.exp(fit.model.log_zeta[index]))
+            beside.append((float(power[index]) / (1.0 - (middle_hz / hz) ** 2) ** 2, hz, zeta))
+    if not beside or not (band.stands_out & band.fits_in).any():
+        return False
+    strongest = [(hz, zeta) for _, hz, zeta in sorted(beside)[-TUNING.tails :]]
+    return log_odds_over_tails(band.order.fit, strongest) < ORDER.least_log_odds
 
 
 def _fitted(found: Spectrum, band: Band) -> _Fitted:

@@ -266,6 +266,13 @@ class BandFit:
         inverse = np.linalg.inv(scaled + 1e-9 * np.eye(scale.size))
         return np.asarray(inverse / np.outer(scale, scale))
 
+    @cached_property
+    def log_coherences(self) -> float:
+        """Logarithm of the volume of the coherences with the background, over that of their prior."""
+        m, r = self.model.count, self.data.size
+        own = slice(m * (m + 1) + r * m, m * (m + 1) + 3 * r * m)
+        return 0.5 * float(np.linalg.slogdet(self.covariance[own, own] / TUNING.coherent_sd**2)[1])
+
 
 def fit_band(
     model: BandModel, data: BandData, limits_hz: tuple[float, float], wanted: float = -np.inf

@@ -152,7 +152,8 @@ def choose_order(
     Notes
     -----
     The logarithm of the odds of one more mode is the gain of the log likelihood less the Schwarz criterion, half the
-    number of its parameters times the logarithm of the number of frequencies, less `log_places`.
+    number of its parameters times the logarithm of the number of frequencies, less `log_places`. Coherences with the
+    background, which have a proper prior, count by Laplace's approximation: how much narrower they became.
     """
     fit = fit_band(without_modes(data), data, limits_hz)
     odds: list[float] = []
@@ -174,6 +175,7 @@ def choose_order(
         if best is None:
             break
         log_odds = best.log_likelihood - fit.log_likelihood - price
+        log_odds += best.log_coherences - fit.log_coherences
         if log_odds < TUNING.least_log_odds:
             break
         fit = best

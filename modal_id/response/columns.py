@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.fft import irfft, rfft
 
+from modal_id.response.channel import Channel
 from modal_id.response.duhamel import Drive, drive
 from modal_id.solve import mode_functions
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -47,6 +48,10 @@ class Samples:
     input : array, shape (n,)
     first, last : int
         Bins compared.
+    channel : Channel or None
+        Where the lag of the input is estimated, what gives the input at any lag.
+    lag_s : float
+        By which `input` was late.
     """
 
     time_s: FloatArray
@@ -55,6 +60,8 @@ class Samples:
     input: FloatArray
     first: int
     last: int
+    channel: Channel | None = None
+    lag_s: float = 0.0
 
     @cached_property
     def drive(self) -> Drive:
@@ -121,6 +128,24 @@ class Samples:
     def with_input(self, values: FloatArray) -> Samples:
         """The same with another input."""
         return replace(self, input=values)
+
+    def with_lag(self, lag_s: float) -> Samples:
+        """The same with the input of another lag; outputs do not count where it was not recorded."""
+        if self.channel is None:
+            return self
+        values, seen = self.channel.at(self.time_s, lag_s)
+        return replace(self, input=values, given=self.channel.given & seen[:, None], lag_s=lag_s)
+
+    def of_lag(self, poles: ComplexArray, coefficients: FloatArray) -> FloatArray:
+        """Derivative of the motion that the input causes with respect to its lag, as `rows`; shape (2 b, k)."""
+        slope = self.drive.derivative()
+        columns = np.zeros((self.time_s.size, coefficients.shape[0]))
+        columns[:, 0], columns[:, 1] = slope.at_samples(), slope.curvature()
+        for index, pole in enumerate(poles):
+            driven = slope.response(pole)
+            columns[:, FIXED + OF_MODE * index] = driven.real
+            columns[:, FIXED + OF_MODE * index + 1] = driven.imag
+        return self.rows(columns @ coefficients)
 
     def in_time(self, poles: ComplexArray) -> FloatArray:
         """Columns of the fit, shape (n, FIXED + OF_MODE m): input, its second derivative, drift, four of each mode."""

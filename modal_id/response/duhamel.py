@@ -63,6 +63,11 @@ class Drive:
         end = 2.0 * self.coefficients[1, -1] + 6.0 * self.coefficients[0, -1] * self.steps_s[-1]
         return np.append(2.0 * self.coefficients[1], end)
 
+    def derivative(self) -> Drive:
+        """The first derivative of the input, itself an input."""
+        a, b, c, _ = self.coefficients
+        return Drive(self.steps_s, np.stack([np.zeros(a.size), 3.0 * a, 2.0 * b, c]))
+
     def slope(self, pole: complex) -> ComplexArray:
         """Derivative of the response with respect to lambda, of which it is an analytic function; shape (n,)."""
         step = TUNING.difference * (abs(pole.real) + 1.0 / float(np.sum(self.steps_s)))

@@ -54,7 +54,8 @@ def model_bands(
         coefficients[:, used, out] = found.coefficients[used, out] + noise + moves @ slope.T
     loss = spline_gain(np.abs(found.poles) / (2.0 * np.pi), found.samples.step_s)
     for draw, move in enumerate(moves):
-        poles = found.poles + move[0::2] + 1j * move[1::2]
+        own_move = move[: 2 * found.poles.size]
+        poles = found.poles + own_move[0::2] + 1j * own_move[1::2]
         own = coefficients[draw]
         sizes[draw] = np.abs(transfer(frequency_hz, poles, own[:2], amplitudes(own)[0] * loss[:, None]))
     low, high = np.quantile(sizes, (0.05, 0.95), axis=0)

@@ -8,16 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from modal_id.data import MIN_SAMPLES, Prepared, prepare, runs
+from modal_id.data import MIN_SAMPLES, Prepared, prepare
 from modal_id.flags import ModeFlag
 from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
+from modal_id.response.channel import Channel
 from modal_id.response.columns import Samples
 from modal_id.response.frf import TUNING as FRF
 from modal_id.response.frf import coherence, local_polynomial, model_bands
+from modal_id.response.input_checks import sparse_outputs, unusable
 from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.lag import fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import ResponseFit, left_at_mode
 from modal_id.response_values import FrequencyResponse
@@ -36,13 +39,9 @@ class Tuning:
     highest: float = 0.6
     #: [1] rows with omitted ones over given rows above which the record is refused
     most_rows: float = 1.5
-    #: [samples] shortest run at an extreme value that is clipped
-    least_run: int = 3
-    #: [1] resolutions between a clipped value and those beside the run
-    #: physics: A parabola that is constant to one resolution over three samples falls by less than five to the next.
-    steps: float = 5.0
-    #: [1] share of missing input samples above which the record is refused
-    most_missing: float = 0.1
+    #: [1] largest given lag of the input over the span of the record
+    #: convention: Beyond, the channels do not belong together.
+    most_lag: float = 0.5
     #: [1] relative sd of the damping ratio above which a mode is not determined
     #: statistics: Its 90 % interval would reach half of the value.
     most_relative_sd: float = 0.3
@@ -77,14 +76,17 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
     if known is None:
         msg = f"{series.name}: the series has no known_input"
         raise ValueError(msg)
-    prepared = prepare(series)
+    problem = sparse_outputs(series, known)
+    prepared = prepare(series) if problem is None else problem
     if isinstance(prepared, str):
         return Failure(prepared, series.name)
     samples = _samples(series, prepared, known, settings)
     if isinstance(samples, str):
         return Failure(samples, series.name)
     rows, data = samples
-    found = fit_response(data, settings.max_modes, _lowest_hz(settings), known.sd)
+    found = _fitted(data, known, settings)
+    if isinstance(found, str):
+        return Failure(found, series.name)
     if found is None:
         reason = (
             f"no mode exceeds the noise in the response to {known.name}; excite the structure over the frequencies of "
@@ -92,6 +94,30 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
         )
         return Failure(reason, series.name)
     return with_rate_error(_assembled(series, prepared, rows, known, found, settings))
+
+
+def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | str | None:
+    """The fit, with the lag of the input as asked for; why there is none; None where no mode exceeds the noise."""
+    options = settings.max_modes, _lowest_hz(settings), known.sd
+    if settings.input_lag_ms == "auto":
+        found = fit_with_lag(data, *options)
+        if not isinstance(found, str):
+            return found
+        return (
+            f"the lag of the input {known.name} {found}: the input may be that of another record, or late by more; "
+            "bring both to the same clock, and give what is left by input_lag_ms"
+        )
+    if settings.input_lag_ms is None:
+        return fit_response(data, *options)
+    lag_s = 1e-3 * settings.input_lag_ms
+    if abs(lag_s) > TUNING.most_lag * data.span_s:
+        return (
+            f"the lag of the input {known.name}, {settings.input_lag_ms:g} ms, leaves less than "
+            f"{100.0 * (1.0 - TUNING.most_lag):.0f} % of the record of {data.span_s:.3g} s: bring both to one clock"
+        )
+    channel = Channel.through(data.time_s, data.input, data.given)
+    late = replace(data, channel=channel).with_lag(lag_s)
+    return fit_response(replace(late, channel=None), *options)
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:
@@ -106,30 +132,19 @@ def _samples(
     first = prepared.first_row
     end_s = np.inf if settings.end_s is None else settings.end_s
     inside = (series.time_s >= (settings.onset_s or -np.inf)) & (series.time_s <= end_s)
-    inside[:first] = False
+    # Beyond the outputs, the input alone is not fitted.
+    recorded = np.flatnonzero(np.isfinite(series.values[:, prepared.channels]).any(axis=1))
+    inside[: max(first, recorded[0])] = False
+    inside[recorded[-1] + 1 :] = False
     inside[first + prepared.repeated.size :] = False
     used = np.flatnonzero(inside)
     if used.size < MIN_SAMPLES:
         return f"only {used.size} samples lie within onset_s and end_s, but at least {MIN_SAMPLES} are needed"
     rows = slice(int(used[0]), int(used[-1]) + 1)
     values = known.values[rows]
-    seen = np.isfinite(values)
-    if np.mean(seen) < 1.0 - TUNING.most_missing:
-        return (
-            f"the input {known.name} is missing in {100.0 * np.mean(~seen):.0f} % of the samples, more than "
-            f"{100.0 * TUNING.most_missing:.0f} %: record it throughout, or identify the outputs alone"
-        )
-    spread = float(np.std(values[seen]))
-    if np.ptp(values[seen]) == 0.0 or spread < 2.0 * known.sd:
-        return (
-            f"the input {known.name} does not move (standard deviation {spread:.3g} {known.unit}, noise "
-            f"{known.sd:.3g}): identify the outputs alone, as a free decay"
-        )
-    if _is_clipped(values[seen]):
-        return (
-            f"the input {known.name} is clipped: many samples share its extreme value, so that the true input is not "
-            "known; reduce the amplitude or use a larger range"
-        )
+    problem = unusable(values, np.asarray(np.any(np.isfinite(series.values[rows]), axis=1)), known)
+    if problem is not None:
+        return problem
     own = slice(rows.start - first, rows.stop - first)
     time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
     if time_s.size > TUNING.most_rows * values.size:
@@ -146,25 +161,6 @@ def _samples(
         outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
     highest = int(TUNING.highest * time_s.size / 2)
     return rows, Samples(time_s, outputs, given, full, 0, highest)
-
-
-def _is_clipped(values: FloatArray) -> bool:
-    """Whether the input stays at an extreme value to which it came in larger steps than its resolution.
-
-    A slow or coarsely quantised peak also repeats its extreme value, but leaves it by one or two steps.
-    """
-    steps = np.diff(np.unique(values))
-    for turned in (values, -values):
-        top = float(np.max(turned))
-        for start, end in runs(turned == top):
-            beside = np.append(turned[max(start - 1, 0) : start], turned[end : end + 1])
-            if (
-                end - start >= TUNING.least_run
-                and beside.size
-                and np.all(top - beside > TUNING.steps * np.min(steps))
-            ):
-                return True
-    return False
 
 
 def _with_omitted_rows(time_s: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
@@ -198,7 +194,9 @@ def _assembled(
     listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
     modes, failed = _numbered(listed, samples, settings)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
-    note = f"The response to {known.name} was fitted, from the first sample to the last."
+    whole = rows.stop - rows.start == series.time_s.size
+    part = "from the first sample to the last" if whole else f"from {start_s:.4g} to {end_s:.4g} s"
+    note = f"The response to {known.name} was fitted, {part}."
     return Identification(
         series=series,
         onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
@@ -400,7 +398,8 @@ def _unexplained(found: ResponseFit, lowest_hz: float) -> tuple[str, ...]:
     names = ", ".join(f"{hz:.4g} Hz" for hz in sorted(frequency_hz(np.array(places))))
     note = (
         f"What the fit leaves near {names} follows the input as a mode would, but the record does not determine one: a "
-        "mode is missing, or the motion is not linear. Allow more modes (max_modes), or excite it longer."
+        "mode is missing, the motion is not linear, or input and outputs do not share a clock. Allow more modes "
+        '(max_modes), excite it longer, or give input_lag_ms = "auto".'
     )
     return (note,)
 
@@ -432,4 +431,6 @@ def _response(
         local=local[kept],
         local_sd=local_sd[kept],
         coherence=coherence(samples)[kept],
+        input_lag_s=samples.lag_s,
+        input_lag_sd_s=found.lag_sd_s,
     )

@@ -80,7 +80,7 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
         found = better
         if found.poles.size >= max_modes:
             break
-        before = _Weighted(found.likely, found.poles, found.weights)
+        before = Weighted(found.likely, found.poles, found.weights)
         places = candidates(found, lowest_hz, TUNING.promising * penalty)
         places.sort(key=before.gain, reverse=True)
         if found.poles.size:
@@ -93,23 +93,29 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     return _without_weak(found, found.poles[order], known, penalty, TUNING.rounds)
 
 
+def with_free_lag(found: ResponseFit, input_sd: float) -> ResponseFit | None:
+    """A fit iterated with the lag of the input (`Samples.channel`) as one more parameter; None as in `fit_response`."""
+    known = InputNoise.of(found.samples, input_sd)
+    return _without_weak(found, found.poles, known, criterion(found.samples), TUNING.rounds)
+
+
 def criterion(samples: Samples) -> float:
     """Gain of log likelihood from which a mode is accepted: the Bayesian information criterion."""
     return float(0.5 * (2 + OF_MODE * samples.values.shape[1]) * np.log(2 * samples.frequency_hz.size))
 
 
 def _with_mode(
-    found: ResponseFit, before: _Weighted, pole: complex, known: InputNoise, penalty: float
+    found: ResponseFit, before: Weighted, pole: complex, known: InputNoise, penalty: float
 ) -> ResponseFit | None:
     """The fit with one more mode, or with others that explain more; None where the criterion asks for more."""
-    trial = _Weighted(found.likely, np.append(found.poles, pole), found.weights).converged()
+    trial = Weighted(found.likely, np.append(found.poles, pole), found.weights).converged()
     if before.score - trial.score < penalty or _has_left(pole, trial.poles[-1]):
         return None
     better = _without_weak(found, trial.poles, known, penalty, TUNING.search_rounds)
     if better is None or better.poles.size != found.poles.size:
         return None if better is None or better.poles.size < found.poles.size else better
     # As many modes as before, elsewhere.
-    after = _Weighted(found.likely, better.poles, found.weights)
+    after = Weighted(found.likely, better.poles, found.weights)
     return better if before.score - after.score > penalty else None
 
 
@@ -126,7 +132,7 @@ def _without_weak(
     return None
 
 
-class _Weighted:
+class Weighted:
     """Least squares with given weights, shape (b, k), up to the noise level of each output."""
 
     def __init__(self, samples: Samples, poles: ComplexArray, weights: FloatArray) -> None:
@@ -155,7 +161,7 @@ class _Weighted:
             left[out] -= np.sum((own.T @ self.residual[:, out]) ** 2)
         return float(0.5 * len(columns) * np.sum(np.log(self.rss / np.maximum(left, 1e-12 * self.rss))))
 
-    def stepped(self) -> _Weighted | None:
+    def stepped(self) -> Weighted | None:
         """After one step of the poles that lowers the score; None where there is none."""
         solved = [
             np.linalg.lstsq(r, own, rcond=1e-12)[0]
@@ -172,13 +178,13 @@ class _Weighted:
         change = _limited(np.linalg.pinv(information) @ gradient, self.poles, self.samples)
         for _ in range(TUNING.halvings):
             if _is_mode(self.poles + change).all():
-                trial = _Weighted(self.samples, self.poles + change, self._weights)
+                trial = Weighted(self.samples, self.poles + change, self._weights)
                 if trial.score < self.score:
                     return trial
             change = 0.4 * change
         return None
 
-    def converged(self) -> _Weighted:
+    def converged(self) -> Weighted:
         """After as many steps as help."""
         found = self
         for _ in range(TUNING.search_steps):
@@ -207,8 +213,11 @@ def _refined(
         noise = noise_after(samples, found.residual_bins, found.leverage, response, known)
         likely = _with_likely_input(samples, found, noise, response)
         found = solve_at(samples, likely, found.poles, noise, noise.weights(response))
-        step = _limited(found.step, found.poles, samples)
+        step = _limited(found.step[: 2 * found.poles.size], found.poles, samples)
         if _is_mode(found.poles + step).all():
+            if samples.channel is not None:
+                samples = samples.with_lag(samples.lag_s + _lag_step(found))
+                likely = _with_likely_input(samples, found, noise, response)
             found = solve_at(samples, likely, found.poles + step, noise, noise.weights(response))
     return found
 
@@ -248,6 +257,12 @@ def _limited(step: FloatArray, poles: ComplexArray, samples: Samples) -> Complex
     return np.asarray(
         change * np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)), initial=1.0)
     )
+
+
+def _lag_step(found: ResponseFit) -> float:
+    """Within the reach of the linearisation: half a sample."""
+    limit = 0.5 * found.samples.step_s
+    return float(np.clip(found.step[-1], -limit, limit))
 
 
 def _is_mode(poles: ComplexArray) -> BoolArray:

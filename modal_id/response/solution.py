@@ -48,14 +48,14 @@ class ResponseFit:
     leverage : array, shape (b, k)
         Share of the noise of each bin that the parameters absorb.
     noise : Noise
-    covariance : array, shape (2 m, 2 m)
-        Of (Re, Im) of each pole in turn.
+    covariance : array, shape (q, q)
+        Of (Re, Im) of each pole in turn, q = 2 m, and of the lag of the input where it is estimated, q = 2 m + 1.
     coefficient_covariance : array, shape (k, p, p)
         Of the coefficients of each output, uncertainty of the poles included.
-    coefficient_slopes : array, shape (k, p, 2 m)
-        Change of the best coefficients with (Re, Im) of the poles.
-    step : array, shape (2 m,)
-        Change of (Re, Im) of the poles that the score asks for.
+    coefficient_slopes : array, shape (k, p, q)
+        Change of the best coefficients with (Re, Im) of the poles, and with the lag.
+    step : array, shape (q,)
+        Change of (Re, Im) of the poles, and of the lag, that the score asks for.
     """
 
     samples: Samples
@@ -78,6 +78,13 @@ class ResponseFit:
         return np.asarray(amplitudes(self.coefficients)[0] * loss[:, None])
 
     @property
+    def lag_sd_s(self) -> float:
+        """Standard deviation of the lag of the input, NaN where it is not estimated."""
+        if self.samples.channel is None:
+            return float("nan")
+        return float(np.sqrt(max(self.covariance[-1, -1], 0.0)))
+
+    @property
     def residual_bins(self) -> ComplexArray:
         """The residual as complex bins; shape (b, k)."""
         half = self.residual.shape[0] // 2
@@ -98,12 +105,12 @@ class _Output:
     inverse : array, shape (p, p)
         Of the normal equations.
     residual : array, shape (2 b,)
-    carried : array, shape (p, 2 m)
-        Less the change of the coefficients with the poles.
-    rest : array, shape (2 b, 2 m)
-        Change of the motion with the poles that the coefficients cannot follow.
-    information : array, shape (2 m, 2 m)
-    gradient : array, shape (2 m,)
+    carried : array, shape (p, q)
+        Less the change of the coefficients with the poles, and with the lag.
+    rest : array, shape (2 b, q)
+        Change of the motion with the poles and the lag that the coefficients cannot follow.
+    information : array, shape (q, q)
+    gradient : array, shape (q,)
     absorbed : array, shape (2 b,)
         Share of the noise that the coefficients absorb.
     """
@@ -127,7 +134,7 @@ def solve_at(
     slopes = likely.slopes(poles)
     both = np.concatenate([weights, weights])
     outputs = [
-        _output(columns, instruments, samples.outputs[:, out], slopes, scale, both[:, out])
+        _output(columns, instruments, samples.outputs[:, out], likely, poles, slopes, scale, both[:, out])
         for out in range(both.shape[1])
     ]
     coefficients = np.column_stack([one.coefficients for one in outputs]) / scale[:, None]
@@ -168,6 +175,8 @@ def _output(
     columns: FloatArray,
     instruments: FloatArray,
     values: FloatArray,
+    likely: Samples,
+    poles: ComplexArray,
     slopes: FloatArray,
     scale: FloatArray,
     weights: FloatArray,
@@ -176,7 +185,10 @@ def _output(
     inverse = np.asarray(np.linalg.pinv(left.T @ columns, rcond=1e-13), dtype=np.float64)
     coefficients = inverse @ (left.T @ values)
     residual = values - columns @ coefficients
-    of_poles = pole_slopes(slopes, (coefficients / scale)[:, None])[:, :, 0]
+    unscaled = (coefficients / scale)[:, None]
+    of_poles = pole_slopes(slopes, unscaled)[:, :, 0]
+    if likely.channel is not None:
+        of_poles = np.column_stack([of_poles, likely.of_lag(poles, unscaled)])
     weighted = of_poles * weights[:, None]
     # Without the part that the coefficients explain: orthogonal to the measured columns.
     rest = of_poles - instruments @ (inverse.T @ (columns.T @ weighted))

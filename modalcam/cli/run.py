@@ -144,6 +144,12 @@ def identify(
         str | None,
         typer.Option("--input-unit", help="Unit of the input, if it is a force."),
     ] = None,
+    input_lag: Annotated[
+        str | None,
+        typer.Option(
+            "--input-lag", "--input-lag-ms", metavar="MS", help="By which the input is late, or auto."
+        ),
+    ] = None,
     json_: Json = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -169,6 +175,8 @@ def identify(
         given["excitation"] = excitation
     if output_only:
         given["output_only"] = True
+    if input_lag is not None:
+        given["input_lag_ms"] = input_lag
     recording = parse_recording(given, where="command line")
     command = partial(
         commands.identify,

@@ -11,7 +11,9 @@ from benchmarks.known_input_scenes import (
     FREQUENCIES_HZ,
     NOISE_MM,
     PARTICIPATION,
+    RATE_HZ,
     Record,
+    late_base,
     motion,
     record,
 )
@@ -80,6 +82,45 @@ def test_shaking_by_hand_shows_the_mode_that_it_drives() -> None:
 @pytest.mark.parametrize(("kind", "seed"), [("random", 3), ("sweep", 29), ("broad", 12)])
 def test_noise_of_the_input_does_not_bias_damping(kind: str, seed: int) -> None:
     _check(_found(_series(record(kind, seed, input_noise_mm=0.02), input_sd=0.02)))
+
+
+@pytest.mark.parametrize(("kind", "seed", "lag"), [("random", 1, 2.64), ("hand", 2, -6.48)])
+def test_the_lag_of_the_input_is_estimated(kind: str, seed: int, lag: float) -> None:
+    """The base motion is that of another time, by its closed form; lag in samples."""
+    lag_s = lag / RATE_HZ
+    series = _series(replace(record(kind, seed), base=late_base(kind, seed, lag_s)), input_sd=0.0)
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    assert isinstance(found, Identification), str(found)
+    _check(found, slice(0, 1 if kind == "hand" else 2))
+    assert found.response is not None
+    off_s, sd_s = found.response.input_lag_s - lag_s, found.response.input_lag_sd_s
+    assert abs(off_s) < _LIMIT * sd_s, f"lag off by {off_s:.2g} s, sd {sd_s:.2g} s"
+    # Noise of 1/30 of the base motion at some Hz, averaged over thousands of samples, moves it by parts of a sample.
+    assert sd_s < 0.1 / RATE_HZ
+    stated = identify(series, IdentifySettings(input_lag_ms=1e3 * lag_s))
+    assert isinstance(stated, Identification), str(stated)
+    _check(stated, slice(0, len(found.modes)))
+
+
+def test_a_lag_without_an_input_is_refused() -> None:
+    series = replace(_series(record("decay", 5)), known_input=None)
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    assert isinstance(found, Failure)
+    assert "no input was measured" in found.reason
+
+
+def test_a_lag_beyond_the_record_is_refused() -> None:
+    found = identify(_series(record("random", 7)), IdentifySettings(input_lag_ms=15e3))
+    assert isinstance(found, Failure)
+    assert "leaves less than 50 %" in found.reason
+
+
+@pytest.mark.slow
+def test_no_mode_of_the_input_of_another_record_is_without_a_flag() -> None:
+    series = _series(replace(record("random", 1), base=record("random", 2).base))
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    modes = found.modes if isinstance(found, Identification) else ()
+    assert all(mode.flags for mode in modes), f"the input is unrelated, found {found!r}"
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.02])
@@ -174,6 +215,14 @@ def _altered(change: str) -> DisplacementSeries:
         values[:] = 1.0
     elif change == "clipped":
         values = np.clip(values, -0.1, 0.1)
+    elif change == "lower rate":
+        values = np.repeat(values[::4], 4)
+    elif change == "outputs at a lower rate":
+        outputs = series.values.copy()
+        outputs[np.arange(len(outputs)) % 4 > 0] = np.nan
+        return replace(series, values=outputs)
+    elif change == "shorter":
+        values[4000:] = np.nan
     else:
         values[1000:3000] = np.nan
     return replace(series, known_input=replace(series.known_input, values=values))
@@ -181,12 +230,35 @@ def _altered(change: str) -> DisplacementSeries:
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [("still", "does not move"), ("clipped", "is clipped"), ("gap", "is missing in 25 %")],
+    [
+        ("still", "does not move"),
+        ("clipped", "is clipped"),
+        ("gap", "is missing in 25 %"),
+        ("shorter", "is missing in 50 %"),
+        ("lower rate", "keeps each value for 4 samples"),
+        ("outputs at a lower rate", "have a value in 25 % of the rows"),
+    ],
 )
 def test_an_input_that_cannot_be_used_is_refused_with_the_reason(change: str, words: str) -> None:
     found = identify(_altered(change))
     assert isinstance(found, Failure)
     assert words in found.reason
+
+
+def test_an_input_is_not_fitted_beyond_the_outputs() -> None:
+    series = _series(record("random", 7), input_sd=0.0)
+    series.values[6000:] = np.nan
+    found = _found(series)
+    _check(found)
+    assert any("from 0 to 15 s" in note for note in found.notes)
+
+
+def test_an_input_of_another_clock_is_said() -> None:
+    """Late by 2 ms more at the end than at the start: a hundredth of a period of the lower mode a second."""
+    one = record("random", 7)
+    late = np.interp(1.0001 * one.time_s, one.time_s, one.base)
+    found = _found(_series(replace(one, base=late)))
+    assert any("do not share a clock" in note for note in found.notes)
 
 
 def test_an_input_of_another_length_is_refused() -> None:

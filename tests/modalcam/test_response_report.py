@@ -110,6 +110,22 @@ def test_a_force_has_modal_masses(tmp_path):
     np.testing.assert_allclose(relative, table.participation_sd / table.participation.abs(), rtol=1e-6)
 
 
+@pytest.mark.usefixtures("in_process", "no_figures")
+def test_the_report_states_the_lag_of_the_input(tmp_path):
+    """Given, and estimated; in the command that repeats the run as well."""
+    one = record("hand", 2)
+    rows = one.time_s < one.time_s[0] + 8.0
+    _table(Record(one.time_s[rows], one.base[rows], one.values[rows]), tmp_path / "take.csv")
+    command = ["identify", str(tmp_path / "take.csv"), "--input", "base", "--unit", "mm", "--input-lag"]
+    for lag, words in (("-2.5", "was taken to be late by"), ("auto", "estimated with the modes")):
+        out = tmp_path / f"out{lag}"
+        result = CliRunner().invoke(app, [*command, lag, "-o", str(out)])
+        assert result.exit_code == 0, result.output
+        page = (out / "report.html").read_text("utf-8")
+        assert words in page
+        assert f"--input-lag-ms {lag}" in page
+
+
 def test_an_input_that_is_no_channel_is_refused_with_the_channels(tmp_path):
     _table(record("random", 11), tmp_path / "take.csv")
     result = CliRunner().invoke(

@@ -114,6 +114,28 @@ def test_a_decay_is_refused():
     assert "excitation = 'free'" in str(refused)
 
 
+def test_a_short_record_of_a_decay_is_refused():
+    """Too few values for blocks: exp(zeta w T) = 1900 times the power in its first half, but for noise."""
+    time_s = np.arange(int(40.0 * RATE_HZ)) / RATE_HZ
+    decay = np.exp(-0.01 * 2.0 * np.pi * HZ[0] * time_s) * np.cos(2.0 * np.pi * HZ[0] * time_s)
+    noise = 0.01 * np.random.default_rng(2).standard_normal((time_s.size, 3))
+    refused = identify(series_of(decay[:, None] * SHAPES[:, 0] + noise, RATE_HZ), AMBIENT)
+    assert not refused
+    assert "decays" in str(refused)
+    assert "excitation = 'free'" in str(refused)
+
+
+# Both listed a fifth mode: the coherent tails of two strong modes between them, and the tail of the mode in its band.
+@pytest.mark.parametrize("seed", [1446, pytest.param(1403, marks=pytest.mark.slow)])
+def test_the_tails_of_modes_are_no_mode(seed):
+    series, truth = ambient_record(seed)
+    listed = [mode.frequency_hz for mode in identify(series, AMBIENT).modes]
+    # A mode has an sd of 0.1 % to 0.3 % of its frequency.
+    np.testing.assert_allclose(
+        listed, truth.frequency_hz, rtol=0.015, err_msg="from four sd of the frequencies"
+    )
+
+
 def test_a_short_record_says_how_long_one_is_needed(clean):
     """15 s, 45 cycles of the first mode. No mode has a smaller sd than the law gives for a band of any width, in which
     force, noise and shape are known: 1 / sqrt(2 zeta w T), with the zeta that was found.

@@ -39,6 +39,7 @@ REQUIRED = {
     "recordings.components": {"file": "a.avi"},
     "recordings.excitation": {"file": "a.avi"},
     "recordings.output_only": {"file": "a.avi"},
+    "recordings.input_lag_ms": {"file": "a.avi"},
 }
 
 

@@ -36,6 +36,9 @@ _NUMBERS = {
 }
 
 
+_EXCITATIONS = {"free": "Released: it decays, or the clamp moves", "ambient": "Wind, traffic: not measured"}
+
+
 class MarkerForm:
     """Fields of one recording, which follow the draft.
 
@@ -62,6 +65,9 @@ class MarkerForm:
         self._positions_field()
         self._regions()
         self._choice("Clamped at the", "clamp_side", ["", *_SIDES])
+        self._choice("What drives the beam", "excitation", _EXCITATIONS)
+        self._input = ui.input("Markers on the clamp, where it moves").props("outlined dense").classes("full")
+        self._input.on("change", self._take_input)
         for key, label in _NUMBERS.items():
             self._number(key, label)
         state.when_draft_changes(self._update)
@@ -80,6 +86,7 @@ class MarkerForm:
             value = getattr(recording, key)
             field.value = ("" if value is None else value) if key in _CHOICES else value
         self._position.value = _positions_text(recording.positions_mm)
+        self._input.value = " ".join(recording.input)
         kind = kind_of(recording.kind)
         self._patches.visible = not kind.is_sought or (bool(recording.points_px) and not kind.follows_line)
         self._show_points(recording)
@@ -96,6 +103,11 @@ class MarkerForm:
             "change", lambda: self._state.edit(markers_edit.set_positions, self._position.value)
         )
 
+    def _take_input(self) -> None:
+        names = (self._input.value or "").replace(",", " ").split()
+        if tuple(names) != self._state.recording.input:
+            self._state.edit(Draft.set_for, {"input": names or None})
+
     def _swap_ends(self) -> None:
         clamp, free_end = self._state.recording.line_px or ()
         self._state.edit(markers_edit.set_line, free_end, clamp)
@@ -109,8 +121,10 @@ class MarkerForm:
                 delete = partial(self._state.edit, markers_edit.delete_region, k)
                 button("Delete", delete, f"Delete the region from {where}")
 
-    def _choice(self, label: str, key: str, options: list[str]) -> None:
-        field = ui.select(options, label=label, value=options[0]).props("outlined dense options-dense")
+    def _choice(self, label: str, key: str, options: list[str] | dict[str, str]) -> None:
+        field = ui.select(options, label=label, value=next(iter(options))).props(
+            "outlined dense options-dense"
+        )
         field.classes("full").on_value_change(lambda event: self._set(**{key: event.value or None}))
         self._values[key] = field
 

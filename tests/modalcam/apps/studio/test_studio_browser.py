@@ -43,6 +43,10 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
             page.get_by_role("button", name="Delete m2").wait_for()
             page.get_by_role("button", name="Undo").click()
             page.get_by_role("button", name="Delete m2").wait_for(state="detached")
+            page.get_by_label("What drives the beam").click()
+            page.get_by_text("Wind, traffic: not measured").click()
+            page.get_by_label("Markers on the clamp").fill("m1")
+            page.keyboard.press("Tab")
             assert (folder / "experiment.toml").read_bytes() == before
             assert (out / "state" / "draft.json").is_file()
             page.get_by_role("button", name="Save", exact=True).click()
@@ -53,6 +57,7 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
     saved = tomllib.loads((folder / "experiment.toml").read_text())
     (entry,) = saved["recordings"]
     assert np.allclose(entry["points_px"], [[20, 12]], atol=0.2), "a click is placed to a tenth of a pixel"
+    assert (entry["excitation"], entry["input"]) == ("ambient", ["m1"])
     assert saved["camera"]["fps"] == 200
     assert not (out / "state" / "draft.json").exists()
     assert sorted(p.name for p in folder.iterdir()) == [
