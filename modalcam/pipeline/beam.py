@@ -101,7 +101,7 @@ def damping_candidates(
     candidates = {}
     for key in models:
         entry = DAMPING_MODELS[key]
-        if entry.build is not None and len(measured.numbers) >= entry.least_modes:
+        if entry.build is not None and not entry.missing(measured):
             draws = tuple(entry.build(draw, omega) for draw in drawn[:: entry.draw_stride])
             candidates[key] = Candidate(entry.build(measured, omega), draws)
     return candidates

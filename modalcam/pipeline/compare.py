@@ -96,7 +96,7 @@ def compare_recordings(
         is_decay = found is not None and bool(found.modes) and found.has_decay
         return {"identification": found, **common} if is_decay else None
 
-    skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
+    skipped = skipped_damping_models(context.config.damping.models, measured)
     parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]
     found = each_together(context, recordings, (COMPARING, compared), *parts)
     dropped = {one.stage.file for one in added}

@@ -1,4 +1,6 @@
 from . import registry as registry
+from .entry import DampingModelEntry as DampingModelEntry
+from .entry import MeasuredDamping as MeasuredDamping
 from .models import DampingCoefficients as DampingCoefficients
 from .models import DampingModel as DampingModel
 from .models import GenericDamping as GenericDamping
@@ -8,8 +10,6 @@ from .models import StillAir as StillAir
 from .models import WithAirDrag as WithAirDrag
 from .registry import AIR_DRAG as AIR_DRAG
 from .registry import DAMPING_MODELS as DAMPING_MODELS
-from .registry import DampingModelEntry as DampingModelEntry
-from .registry import MeasuredDamping as MeasuredDamping
 from .registry import generic_from as generic_from
 from .registry import rayleigh_from as rayleigh_from
 from .registry import rayleigh_to_all as rayleigh_to_all

@@ -93,10 +93,10 @@ def test_model_with_too_few_modes_is_excluded_with_the_reason():
     one = MeasuredDamping((1,), (1.9,), (0.01,), ((1.9,),), ((0.01,),))
     chosen = ("generic", "rayleigh", "rayleigh_constant_k")
     assert list(damping_candidates(chosen, paper_beam(), one)) == ["generic"]
-    assert skipped_damping_models(chosen, 1) == (
+    assert skipped_damping_models(chosen, one) == (
         "Rayleigh damping (Eq. 4) needs two identified modes; 1 identified: not simulated.",
     )
-    assert skipped_damping_models(chosen, 2) == ()
+    assert skipped_damping_models(chosen, MEASURED) == ()
 
 
 def test_air_drag_is_fitted_and_cannot_be_selected():

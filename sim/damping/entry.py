@@ -1,0 +1,115 @@
+"""What a damping model is built from, and what a run and its report know of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sim.damping.models import DampingModel
+from tracker import FloatArray
+
+_KEY = re.compile(r"[a-z][a-z0-9_]*")
+_COLOUR = re.compile(r"#[0-9a-f]{6}")
+
+
+@dataclass(frozen=True)
+class MeasuredDamping:
+    """Identified modes that damping models are built from, in order of mode number, with posterior draws of each.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+    frequency_hz, damping_ratio : tuple of float
+        One per mode.
+    frequency_draws_hz, damping_draws : tuple of tuple of float
+        Posterior draws, one tuple per mode, all of one length; empty for none.
+    """
+
+    numbers: tuple[int, ...]
+    frequency_hz: tuple[float, ...]
+    damping_ratio: tuple[float, ...]
+    frequency_draws_hz: tuple[tuple[float, ...], ...] = ()
+    damping_draws: tuple[tuple[float, ...], ...] = ()
+
+    def draws(self) -> tuple[MeasuredDamping, ...]:
+        """One set of modes per posterior draw."""
+        pairs = zip(
+            zip(*self.frequency_draws_hz, strict=True), zip(*self.damping_draws, strict=True), strict=True
+        )
+        return tuple(MeasuredDamping(self.numbers, frequency, ratio) for frequency, ratio in pairs)
+
+
+Build = Callable[[MeasuredDamping, FloatArray], DampingModel]
+
+
+@dataclass(frozen=True)
+class DampingModelEntry:
+    """A damping model: how it is built from identified modes, and how the report shows it.
+
+    Attributes
+    ----------
+    key : str
+        Name in the configuration and in every table: lower case letters, digits and underscores.
+    name : str
+        As written in the middle of a sentence.
+    description : str
+        One sentence.
+    colour, dark_colour : str
+        Hexadecimal, on a light and on a dark page; unique among the entries.
+    build : callable or None
+        ``build(measured, omega_rad_s)`` makes the damping object. `omega_rad_s` are the angular frequencies of the
+        beam's modes 1 to the highest measured one. None for a model that is fitted to each recording instead and is
+        not chosen in ``[damping] models``.
+    marker, line_style : str
+        Of matplotlib.
+    least_modes : int
+        Identified modes that `build` needs.
+    too_few : str
+        Why the model is missing when fewer were identified: the beginning of a sentence.
+    draw_stride : int
+        1 simulates every posterior draw, 4 every fourth: for a model that is slow to simulate.
+    variant_of : str or None
+        Key of the model of which this is a variant that differs at large amplitude only: the report draws it only where
+        the amplitude is large, and compares it with that model.
+    difference : str
+        Why a variant differs there, as a sentence of the report.
+    """
+
+    key: str
+    name: str
+    description: str
+    colour: str
+    dark_colour: str
+    build: Build | None
+    marker: str = "D"
+    line_style: str = ":"
+    least_modes: int = 1
+    too_few: str = ""
+    draw_stride: int = 1
+    variant_of: str | None = None
+    difference: str = ""
+
+    def __post_init__(self) -> None:
+        if not _KEY.fullmatch(self.key):
+            msg = f"expected a key of lower case letters, digits and underscores, got {self.key!r}"
+            raise ValueError(msg)
+        for colour in (self.colour, self.dark_colour):
+            if not _COLOUR.fullmatch(colour):
+                msg = f"damping model {self.key!r}: expected a colour such as '#0067a5', got {colour!r}"
+                raise ValueError(msg)
+        if self.least_modes < 1 or self.draw_stride < 1:
+            msg = f"damping model {self.key!r}: least_modes and draw_stride must be at least 1"
+            raise ValueError(msg)
+
+    @property
+    def label(self) -> str:
+        """The name at the beginning of a line."""
+        return self.name[0].upper() + self.name[1:]
+
+    def missing(self, measured: MeasuredDamping) -> str:
+        """Why the model cannot be built from these modes: the beginning of a sentence; empty where it can."""
+        if len(measured.numbers) >= self.least_modes:
+            return ""
+        needed = self.too_few or f"{self.label} needs {self.least_modes} identified modes"
+        return f"{needed}; {len(measured.numbers)} identified"
