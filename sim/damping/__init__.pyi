@@ -1,6 +1,17 @@
+from . import law as law
 from . import registry as registry
+from .caughey import CaugheyDamping as CaugheyDamping
 from .entry import DampingModelEntry as DampingModelEntry
 from .entry import MeasuredDamping as MeasuredDamping
+from .entry import law_entry as law_entry
+from .evidence import LAW_COLUMNS as LAW_COLUMNS
+from .evidence import LEFT_OUT_COLUMNS as LEFT_OUT_COLUMNS
+from .evidence import LawComparison as LawComparison
+from .evidence import compare_laws as compare_laws
+from .law import DampingLaw as DampingLaw
+from .law import LawFit as LawFit
+from .law import LeftOut as LeftOut
+from .law import ParametricLaw as ParametricLaw
 from .models import DampingCoefficients as DampingCoefficients
 from .models import DampingModel as DampingModel
 from .models import GenericDamping as GenericDamping
@@ -8,6 +19,8 @@ from .models import NoDamping as NoDamping
 from .models import RayleighDamping as RayleighDamping
 from .models import StillAir as StillAir
 from .models import WithAirDrag as WithAirDrag
+from .parts import PART_COLUMNS as PART_COLUMNS
+from .parts import DampingParts as DampingParts
 from .registry import AIR_DRAG as AIR_DRAG
 from .registry import DAMPING_MODELS as DAMPING_MODELS
 from .registry import generic_from as generic_from
@@ -16,3 +29,10 @@ from .registry import rayleigh_to_all as rayleigh_to_all
 from .registry import register_damping_model as register_damping_model
 from .registry import selectable_damping_models as selectable_damping_models
 from .registry import skipped_damping_models as skipped_damping_models
+from .section import MATERIALS as MATERIALS
+from .section import BeamSection as BeamSection
+from .section import Material as Material
+from .section import ThermalMaterial as ThermalMaterial
+from .section import beam_section as beam_section
+from .thermoelastic import thermoelastic_ratio as thermoelastic_ratio
+from .viscous_air import viscous_air_ratio as viscous_air_ratio

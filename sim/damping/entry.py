@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
+from sim.damping.law import DampingLaw
 from sim.damping.models import DampingModel
+from sim.damping.section import BeamSection
 from tracker import FloatArray
 
 _KEY = re.compile(r"[a-z][a-z0-9_]*")
@@ -24,6 +27,10 @@ class MeasuredDamping:
         One per mode.
     frequency_draws_hz, damping_draws : tuple of tuple of float
         Posterior draws, one tuple per mode, all of one length; empty for none.
+    damping_sd : tuple of float
+        Standard deviations of `damping_ratio`; empty for none.
+    section : BeamSection or None
+        For laws that are computed from it.
     """
 
     numbers: tuple[int, ...]
@@ -31,13 +38,16 @@ class MeasuredDamping:
     damping_ratio: tuple[float, ...]
     frequency_draws_hz: tuple[tuple[float, ...], ...] = ()
     damping_draws: tuple[tuple[float, ...], ...] = ()
+    damping_sd: tuple[float, ...] = ()
+    section: BeamSection | None = None
 
     def draws(self) -> tuple[MeasuredDamping, ...]:
         """One set of modes per posterior draw."""
         pairs = zip(
             zip(*self.frequency_draws_hz, strict=True), zip(*self.damping_draws, strict=True), strict=True
         )
-        return tuple(MeasuredDamping(self.numbers, frequency, ratio) for frequency, ratio in pairs)
+        drawn = replace(self, frequency_draws_hz=(), damping_draws=())
+        return tuple(replace(drawn, frequency_hz=hz, damping_ratio=ratio) for hz, ratio in pairs)
 
 
 Build = Callable[[MeasuredDamping, FloatArray], DampingModel]
@@ -74,6 +84,8 @@ class DampingModelEntry:
         the amplitude is large, and compares it with that model.
     difference : str
         Why a variant differs there, as a sentence of the report.
+    law : DampingLaw or None
+        The damping ratio over frequency that the model stands for, whose evidence is compared with that of the others.
     """
 
     key: str
@@ -89,6 +101,7 @@ class DampingModelEntry:
     draw_stride: int = 1
     variant_of: str | None = None
     difference: str = ""
+    law: DampingLaw | None = None
 
     def __post_init__(self) -> None:
         if not _KEY.fullmatch(self.key):
@@ -109,7 +122,15 @@ class DampingModelEntry:
 
     def missing(self, measured: MeasuredDamping) -> str:
         """Why the model cannot be built from these modes: the beginning of a sentence; empty where it can."""
-        if len(measured.numbers) >= self.least_modes:
-            return ""
-        needed = self.too_few or f"{self.label} needs {self.least_modes} identified modes"
-        return f"{needed}; {len(measured.numbers)} identified"
+        count = len(measured.numbers)
+        if count < self.least_modes:
+            return f"{self.too_few or f'{self.label} needs {self.least_modes} identified modes'}; {count} identified"
+        lacks = "" if self.law is None else self.law.lacks(measured.section)
+        return f"{self.label} needs {lacks}" if lacks else ""
+
+
+def law_entry(
+    key: str, name: str, description: str, colours: tuple[str, str], law: DampingLaw, **others: Any
+) -> DampingModelEntry:
+    """Entry of a law, with its colours on a light and on a dark page; `others` are fields of the entry."""
+    return DampingModelEntry(key, name, description, *colours, build=law.model, law=law, **others)

@@ -10,8 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sim.damping.caughey import CAUGHEY
+from sim.damping.constant import CONSTANT
 from sim.damping.entry import DampingModelEntry, MeasuredDamping
+from sim.damping.fractional import FRACTIONAL
 from sim.damping.models import GenericDamping, RayleighDamping
+from sim.damping.proportional import KELVIN_VOIGT, MASS
+from sim.damping.sums import MASS_AND_STIFFNESS, SUMS
+from sim.damping.thermoelastic import THERMOELASTIC
+from sim.damping.through_all import ThroughAllModes
+from sim.damping.viscous_air import VISCOUS_AIR
 from tracker import FloatArray
 
 DAMPING_MODELS: dict[str, DampingModelEntry] = {}
@@ -90,6 +98,7 @@ for _entry in (
         marker="s",
         line_style="-",
         build=generic_from,
+        law=ThroughAllModes(),
     ),
     DampingModelEntry(
         key="rayleigh",
@@ -131,6 +140,7 @@ for _entry in (
         least_modes=3,
         too_few="Rayleigh damping fitted to all modes needs three identified modes",
         draw_stride=4,
+        law=MASS_AND_STIFFNESS,
     ),
     DampingModelEntry(
         key=AIR_DRAG,
@@ -141,5 +151,13 @@ for _entry in (
         marker="o",
         build=None,
     ),
+    CONSTANT,
+    KELVIN_VOIGT,
+    MASS,
+    FRACTIONAL,
+    THERMOELASTIC,
+    VISCOUS_AIR,
+    CAUGHEY,
+    *SUMS,
 ):
     register_damping_model(_entry)
