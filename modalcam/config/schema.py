@@ -24,7 +24,7 @@ from pydantic import (
 
 from modal_id import IdentifyOptions
 from modalcam.common import ConfigError
-from sim.damping import selectable_damping_models
+from sim.damping import Material, selectable_damping_models
 from tracker import (
     CameraOptions,
     Finite,
@@ -246,6 +246,11 @@ class BeamConfig(Options):
     )
     elastic_modulus_mpa: Positive | None = Field(
         default=None, description="Young's modulus.", examples=[210000.0]
+    )
+    material: Material | None = Field(
+        default=None,
+        description="Its thermal properties give the thermoelastic damping.",
+        examples=["steel"],
     )
     orientation: Literal["hanging", "standing", "horizontal", "angled", "none"] = Field(
         default="hanging",

@@ -15,7 +15,17 @@ from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage, run_together
 from sim.beam import AncfBeam, BeamModes, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison import Candidate
-from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
+from sim.damping import (
+    DAMPING_MODELS,
+    BeamSection,
+    GenericDamping,
+    Material,
+    MeasuredDamping,
+    beam_section,
+    compare_laws,
+    generic_from,
+    rayleigh_from,
+)
 from sim.updating import (
     METHODS,
     MeasuredModes,
@@ -63,21 +73,28 @@ def updated_beam(
     usable: tuple[MeasuredMode, ...],
     settings: UpdatingSettings,
     parts: dict[Method, UpdatePart],
+    material: Material | None,
+    air_density_kg_m3: float,
 ) -> BeamResult:
-    """The beam before and after updating; a worker runs this, because its linear algebra has one thread."""
+    """The beam before and after updating, and damping laws over the measured modes.
+
+    A worker runs this, because its linear algebra has one thread.
+    """
     if not usable:
         note = "No measured mode could be numbered, so the beam's properties were not updated."
         return BeamResult(properties, modes, note=note)
     found = all_updates(modes_to_match(usable), settings, parts)
+    own = properties if isinstance(found, Failure) else found.properties
+    laws = compare_laws(small_damping(usable, beam_section(own, material, air_density_kg_m3)))
     alpha, beta = float("nan"), float("nan")
     if len(usable) > 1:
         rayleigh = rayleigh_from(measured_damping(usable, modes))
         alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
     if isinstance(found, Failure):
         note = f"The beam was not updated: {found.reason}"
-        return BeamResult(properties, modes, None, None, alpha, beta, note)
+        return BeamResult(properties, modes, None, None, alpha, beta, note, laws)
     after = beam_modes(AncfBeam(found.properties), min(modes.count, 2 * found.properties.elements))
-    return BeamResult(properties, modes, found, after, alpha, beta)
+    return BeamResult(properties, modes, found, after, alpha, beta, laws=laws)
 
 
 def measured_damping(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> MeasuredDamping:
@@ -89,6 +106,18 @@ def measured_damping(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> Me
         tuple(m.damping_ratio for m in usable),
         tuple(m.frequency_draws_hz for m in usable),
         tuple(m.damping_draws for m in usable),
+        tuple(m.damping_ratio_sd for m in usable),
+    )
+
+
+def small_damping(usable: tuple[MeasuredMode, ...], section: BeamSection) -> MeasuredDamping:
+    """Damping ratios at small amplitude, where the laws hold: none depends on the amplitude."""
+    return MeasuredDamping(
+        tuple(m.number for m in usable),
+        tuple(m.frequency_hz for m in usable),
+        tuple(m.small_damping.value for m in usable),
+        damping_sd=tuple(m.small_damping.sd for m in usable),
+        section=section,
     )
 
 
@@ -187,6 +216,8 @@ def update_beam(
         usable=usable,
         settings=settings,
         parts={name.rpartition(".")[2]: part for name, part in found.items()},
+        material=None if context.config.beam is None else context.config.beam.material,
+        air_density_kg_m3=context.config.air.density_kg_m3,
     )
     if isinstance(result, Failure):
         return None, (f"The beam was not updated: {result.reason}.",), recordings

@@ -26,7 +26,7 @@ from sim.comparison import (
     bands,
     compare_decay,
 )
-from sim.damping import MeasuredDamping, skipped_damping_models
+from sim.damping import MeasuredDamping, beam_section, skipped_damping_models
 from tracker import Failure
 
 
@@ -81,7 +81,11 @@ def compare_recordings(
         ]
         return list(recordings), tuple(f"Without an updated beam, {s.name} was skipped." for s in others)
     properties, draws = beam.updated.properties, beam.updated.bayesian
+    config = context.config
+    material = None if config.beam is None else config.beam.material
+    section = beam_section(properties, material, config.air.density_kg_m3)
     measured = measured_damping(measured_modes(recordings), beam.standard_modes)
+    measured = replace(measured, section=section)
     common = {
         "properties": properties,
         "beams": draws.draws(min(bands.TUNING.draws, len(draws.log_factor_draws))),

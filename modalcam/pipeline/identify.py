@@ -214,7 +214,8 @@ class MeasuredMode:
 
     Frequency and damping ratio are means weighted by the inverse variance; the standard deviations include the scatter
     between recordings beyond their own. A frequency that depends on the amplitude is that at small amplitude.
-    `frequency` and `damping` hold the values of the recordings and how they agree. Draws are of the posterior of the
+    `frequency` and `damping` hold the values of the recordings and how they agree, `small_damping` those of the damping
+    ratio at small amplitude. Draws are of the posterior of the
     recording with the smallest standard deviation, spread evenly over its chains, shifted and scaled to the combined
     value and standard deviation.
 
@@ -235,6 +236,7 @@ class MeasuredMode:
     recordings: tuple[str, ...]
     frequency: Combined
     damping: Combined
+    small_damping: Combined
     frequency_draws_hz: tuple[float, ...]
     damping_draws: tuple[float, ...]
     least_mac: float = float("nan")
@@ -292,6 +294,7 @@ def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
         recordings=tuple(one.recording for one in found),
         frequency=frequency,
         damping=damping,
+        small_damping=combine(*zip(*(one.mode.small_amplitude_damping for one in found), strict=True)),
         frequency_draws_hz=_drawn(frequency.value, frequency_sd_hz, most_precise.frequency_hz),
         damping_draws=tuple(
             max(zeta, 0.0) for zeta in _drawn(damping.value, damping.sd, most_precise.damping_ratio)

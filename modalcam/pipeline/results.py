@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from modal_id import Identification
     from sim.beam import BeamModes, BeamProperties
     from sim.comparison import DecayComparison
+    from sim.damping import LawComparison
     from sim.updating import Updating
     from tracker import DisplacementSeries, FailedTracking, Failure, MarkerTracks
 
@@ -103,7 +104,7 @@ class BeamResult:
 
     `standard_modes` are about the equilibrium under gravity; `updated` is None if the beam could not be matched to the
     measured modes, with the reason in `note`; Rayleigh's coefficients are those of Eq. 4 from the two lowest measured
-    modes, NaN if fewer than two were measured.
+    modes, NaN if fewer than two were measured; `laws` is None where no measured mode could be numbered.
     """
 
     standard: BeamProperties
@@ -113,6 +114,7 @@ class BeamResult:
     rayleigh_alpha_1_s: float = float("nan")
     rayleigh_beta_s: float = float("nan")
     note: str = ""
+    laws: LawComparison | Failure | None = None
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 The columns of a result stand next to its class, so that its data frame has them too: those of modes in
 `modal_id/columns.py`, of tracks in `tracker/results.py`, of comparisons in `sim/comparison/results.py`, of the updating
-in `sim/updating/update.py`. To add a column, write a `Column` into the tuple of its table; CSV, JSON and
-docs/columns.md follow.
+in `sim/updating/update.py`, of damping laws in `sim/damping/evidence.py`. To add a column, write a `Column` into the
+tuple of its table; CSV, JSON and docs/columns.md follow.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import replace
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
 from modal_id.modes import ALIAS_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS
+from sim.damping import LAW_COLUMNS, LEFT_OUT_COLUMNS, PART_COLUMNS
 from sim.updating import UPDATING_COLUMNS
 from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
 
@@ -71,6 +72,9 @@ TABLES: Mapping[str, tuple[Column, ...]] = {
     "participation.csv": PARTICIPATION_COLUMNS,
     "comparison.csv": COMPARISON_COLUMNS,
     "updating.csv": UPDATING_COLUMNS,
+    "damping_laws.csv": LAW_COLUMNS,
+    "damping_left_out.csv": LEFT_OUT_COLUMNS,
+    "damping_parts.csv": PART_COLUMNS,
     "summary.json, drag": (_RECORDING, _MODE, *DRAG_COLUMNS),
 }
 

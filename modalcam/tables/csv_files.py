@@ -14,6 +14,7 @@ from modalcam.pipeline import RecordingResult, RunResult, Workspace, aliases, mo
 from modalcam.tables.base import Output, Writer
 from modalcam.tables.columns import DRAG_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS, DecayComparison
+from sim.damping import LAW_COLUMNS, LEFT_OUT_COLUMNS, PART_COLUMNS, LawComparison
 from sim.updating import UPDATING_COLUMNS
 from tracker import Column, MarkerTracks
 
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 
 # Of the tracks, which may have a million.
 _FRAMES_AT_ONCE = 20_000
+LAW_TABLES: dict[str, Callable[[LawComparison], list[dict[str, Any]]]] = {
+    "damping_laws": lambda laws: laws.rows(),
+    "damping_left_out": lambda laws: laws.left_out_rows(),
+    "damping_parts": lambda laws: laws.parts.rows(),
+}
 
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
@@ -41,6 +47,12 @@ def updating_rows(result: RunResult) -> list[dict[str, Any]]:
     """Rows of `updating.csv`; empty if nothing was updated."""
     updated = None if result.beam is None else result.beam.updated
     return [] if updated is None else updated.rows()
+
+
+def law_rows(table: str, result: RunResult) -> list[dict[str, Any]]:
+    """Rows of one of the `LAW_TABLES`; empty if no damping laws were compared."""
+    laws = None if result.beam is None else result.beam.laws
+    return LAW_TABLES[table](laws) if isinstance(laws, LawComparison) else []
 
 
 def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
@@ -135,4 +147,24 @@ UPDATING = table_writer(
     "measured frequencies against those of the beam as configured and as updated",
     updating_rows,
     UPDATING_COLUMNS,
+)
+LAWS = (
+    table_writer(
+        "damping_laws",
+        "damping laws over the measured modes, one row per law",
+        partial(law_rows, "damping_laws"),
+        LAW_COLUMNS,
+    ),
+    table_writer(
+        "damping_left_out",
+        "each mode as each damping law predicts it from the others",
+        partial(law_rows, "damping_left_out"),
+        LEFT_OUT_COLUMNS,
+    ),
+    table_writer(
+        "damping_parts",
+        "damping ratios divided into thermoelastic, viscous air and remainder",
+        partial(law_rows, "damping_parts"),
+        PART_COLUMNS,
+    ),
 )

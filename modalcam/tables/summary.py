@@ -35,7 +35,7 @@ from modalcam.pipeline import (
     write_text,
 )
 from modalcam.tables.base import Output, Writer
-from modalcam.tables.csv_files import comparison_rows, drag_rows, updating_rows
+from modalcam.tables.csv_files import LAW_TABLES, comparison_rows, drag_rows, law_rows, updating_rows
 from modalcam.tables.shapes import curvature
 from sim.updating import Updating
 from tracker import DisplacementSeries, FailedTracking, Failure, MarkerTracks, table_row
@@ -65,6 +65,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "uncertainty": budgets(result.recordings),
         "beam": result.beam and _beam(result.beam),
         "updating": updating_rows(result),
+        **{table: law_rows(table, result) for table in LAW_TABLES},
         "not_done": result.not_done,
     }
     return dict(jsonable(tree))

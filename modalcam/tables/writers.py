@@ -30,6 +30,7 @@ WRITERS: dict[str, Writer] = {
         response.PARTICIPATION,
         tables.COMPARISON,
         tables.UPDATING,
+        *tables.LAWS,
         SUMMARY,
         CONFIG,
     )

@@ -29,6 +29,7 @@ from sim.comparison import (
     score_difference,
     score_sum,
 )
+from sim.damping import MeasuredDamping, beam_section, compare_laws
 from sim.updating import MeasuredModes, UpdatingSettings, update
 from tracker import (
     BLURRED,
@@ -328,6 +329,15 @@ def beam_result(elements=20):
         updated_modes=beam_modes(AncfBeam(updated.properties), 5),
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,
         rayleigh_beta_s=RAYLEIGH_BETA_S,
+        laws=compare_laws(
+            MeasuredDamping(
+                tuple(range(1, 6)),
+                MEASURED_FREQUENCY_HZ,
+                MEASURED_DAMPING_RATIO,
+                damping_sd=(3e-5,) * 5,
+                section=beam_section(standard, "steel"),
+            )
+        ),
     )
 
 

@@ -61,6 +61,9 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
         "shapes.csv",
         "comparison.csv",
         "updating.csv",
+        "damping_laws.csv",
+        "damping_left_out.csv",
+        "damping_parts.csv",
         "summary.json",
         "run.toml",
         "count.txt",
@@ -81,11 +84,12 @@ def test_columns_of_other_tables_are_found_by_their_names(monkeypatch):
 
 def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):
     full = run_result(compared(paper_recordings(2)), beam=beam_result(elements=6))
+    names = ("modes", "comparison", "updating", "damping_laws", "damping_left_out", "damping_parts")
     for out, result in (("full", full), ("empty", run_result())):
-        for name in ("modes", "comparison", "updating"):
+        for name in names:
             for output in WRITERS[name].outputs(Workspace(tmp_path / out), result, ExperimentConfig()):
                 output.write(output.path)
-    for name in ("modes", "comparison", "updating"):
+    for name in names:
         header, *rows = (tmp_path / "full" / f"{name}.csv").read_text().splitlines()
         assert rows
         assert "NaN" not in rows[0].split(",")[:2]

@@ -10,9 +10,10 @@ from support.html_page import Page
 from modalcam.pipeline import model_scores
 from modalcam.report import build_report
 from modalcam.report.sections import findings, worst_ratios
-from modalcam.report.style import environment, thousands
+from modalcam.report.style import environment, significant, thousands
 from sim.comparison import DragFit, DragLimit, ScoreSum
 from sim.damping import DAMPING_MODELS, DampingModelEntry, register_damping_model
+from tracker import Failure
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +139,24 @@ def test_a_damping_model_of_a_plugin_is_in_the_report(recordings):
     assert '<td class="model toy">' in html
     assert html.count("var(--damping-toy)") > 2
     assert "--damping-toy: #abcdef" in html
+
+
+def test_damping_laws_are_listed_with_the_prediction_of_each_mode_and_the_parts(recordings):
+    result = runs.run_result(recordings, beam=runs.beam_result())
+    laws = result.beam.laws
+    page = Page(build_report(result))
+    best = DAMPING_MODELS[laws.keys[0]]
+    assert f"{best.name} is the most probable ({significant(100 * laws.probability[0], 2)} %)" in page.words
+    # Table 2: no law is probable enough
+    assert "the measured modes do not decide between the laws" in page.words
+    by_mode = laws.left_out_probability
+    for k, number in enumerate(laws.measured.numbers):
+        name = DAMPING_MODELS[laws.keys[int(np.argmax(by_mode[:, k]))]].name
+        assert f"Mode {number} is predicted best from the others by {name}" in page.words
+    assert "Viscous air (%)" in page.words
+
+
+def test_too_few_modes_for_laws_are_named(recordings):
+    few = replace(runs.beam_result(), laws=Failure("damping laws need at least 3 modes, found 2"))
+    words = Page(build_report(runs.run_result(recordings, beam=few))).words
+    assert "Damping laws need at least 3 modes, found 2." in words
