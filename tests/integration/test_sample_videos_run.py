@@ -123,6 +123,17 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
     )
 
 
+def test_damping_laws_are_compared_over_the_modes_at_small_amplitude(out):
+    laws, left_out, parts = (rows_of(out / f"damping_{name}.csv") for name in ("laws", "left_out", "parts"))
+    assert sum(float(row["probability"]) for row in laws) == pytest.approx(1.0)
+    # without [beam] material nothing is thermoelastic
+    assert {"constant", "viscous_air", "caughey", "rayleigh_all_modes"} <= {row["law"] for row in laws}
+    assert not any("thermoelastic" in row["law"] for row in laws)
+    small = {row["mode"]: row["damping_ratio_small_amplitude"] for row in target_rows(out).values()}
+    assert {(row["mode"], row["damping_ratio_measured"]) for row in left_out} == set(small.items())
+    assert [row["mode"] for row in parts] == [str(number) for number in range(1, 6) for _ in range(4)]
+
+
 def test_output_files_have_the_specified_columns(out):
     # Written out: the declarations of the columns would be compared with themselves.
     assert (out / "modes.csv").read_text().splitlines()[0] == (
