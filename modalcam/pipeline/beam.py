@@ -131,7 +131,9 @@ def damping_candidates(
     for key in models:
         entry = DAMPING_MODELS[key]
         if entry.build is not None and not entry.missing(measured):
-            draws = tuple(entry.build(draw, omega) for draw in drawn[:: entry.draw_stride])
+            # a draw of a damping ratio that is hardly known may be 0, which a law cannot have
+            used = (draw for draw in drawn[:: entry.draw_stride] if not entry.missing(draw))
+            draws = tuple(entry.build(draw, omega) for draw in used)
             candidates[key] = Candidate(entry.build(measured, omega), draws)
     return candidates
 

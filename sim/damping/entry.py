@@ -125,7 +125,10 @@ class DampingModelEntry:
         count = len(measured.numbers)
         if count < self.least_modes:
             return f"{self.too_few or f'{self.label} needs {self.least_modes} identified modes'}; {count} identified"
-        lacks = "" if self.law is None else self.law.lacks(measured.section)
+        if self.law is None or self.build != self.law.model:
+            return ""
+        positive = "" if min(measured.damping_ratio) > 0.0 else "positive damping ratios"
+        lacks = self.law.lacks(measured.section) or positive
         return f"{self.label} needs {lacks}" if lacks else ""
 
 

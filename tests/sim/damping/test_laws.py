@@ -135,6 +135,18 @@ def test_a_caughey_series_that_is_negative_between_modes_says_so():
     assert not DAMPING_MODELS["caughey"].build(PAPER, OMEGA).caution
 
 
+def test_a_damping_ratio_of_0_has_no_law_but_generic_damping():
+    hz = tuple((f, f) for f in MEASURED_FREQUENCY_HZ)
+    zero = tuple((z, 0.0 if z > 0.009 else z) for z in MEASURED_DAMPING_RATIO)
+    drawn = replace(PAPER, frequency_draws_hz=hz, damping_draws=zero)
+    found = damping_candidates(("generic", "rayleigh_all_modes", "caughey"), paper_beam(), drawn)
+    assert [len(candidate.draws) for candidate in found.values()] == [2, 1, 1]
+    (none,) = (d for d in drawn.draws() if d.damping_ratio[0] == 0.0)
+    assert skipped_damping_models(("caughey",), none) == (
+        "Caughey damping needs positive damping ratios: not simulated.",
+    )
+
+
 @pytest.mark.parametrize("key", ["caughey", "mass_and_constant"])
 def test_a_law_is_simulated_with_its_damping_ratios(key):
     """Mode 2 over 2 s of small vibration, by least squares at the pole: the integrator is exact for modal ratios."""
