@@ -128,26 +128,26 @@ def measured(folder: Path) -> list[Measured]:
     that mode, beside a weaker one at 310 Hz.
     """
     short = [
-        _modes(folder, pattern, max_modes=1)
+        modes_in(folder, pattern, max_modes=1)
         for pattern in ("30cm*21-08-55*", "30cm*21-12-02*", "30cm*21-13-02*")
     ]
     first = [
-        _modes(folder, pattern, between_s=between, every=1, max_modes=3, target_frequency_hz=108.0)
+        modes_in(folder, pattern, between_s=between, every=1, max_modes=3, target_frequency_hz=108.0)
         for pattern, between in (("30cm*21-12-02*", (0.17, 1.2)), ("30cm*21-13-02*", (0.1, 0.9)))
     ]
     long = [
-        _modes(folder, pattern, max_modes=2)
+        modes_in(folder, pattern, max_modes=2)
         for pattern in ("50cm*11-46-55*", "50cm*11-47-32*", "50cm*11-47-59*")
     ]
     return [
-        _mean("30 cm, mode 1", [_near(m, 16.0) for m in short]),
-        _mean("30 cm, mode 2", [_near(m, 108.0) for m in first]),
-        _mean("50 cm, mode 1", [_near(m, 6.0) for m in long]),
-        _mean("50 cm, mode 2", [_near(m, 39.0) for m in long]),
+        mean_of("30 cm, mode 1", [nearest_hz(m, 16.0) for m in short]),
+        mean_of("30 cm, mode 2", [nearest_hz(m, 108.0) for m in first]),
+        mean_of("50 cm, mode 1", [nearest_hz(m, 6.0) for m in long]),
+        mean_of("50 cm, mode 2", [nearest_hz(m, 39.0) for m in long]),
     ]
 
 
-def _modes(
+def modes_in(
     folder: Path,
     pattern: str,
     *,
@@ -182,12 +182,12 @@ def _modes(
     return found.modes if found else ()
 
 
-def _near(modes: tuple[IdentifiedMode, ...], frequency_hz: float) -> float:
+def nearest_hz(modes: tuple[IdentifiedMode, ...], frequency_hz: float) -> float:
     mode = min(modes, key=lambda m: abs(m.frequency_hz - frequency_hz))
     return mode.small_amplitude_frequency[0]
 
 
-def _mean(name: str, values: list[float]) -> Measured:
+def mean_of(name: str, values: list[float]) -> Measured:
     return Measured(name, float(np.mean(values)), float(np.std(values, ddof=1)))
 
 
