@@ -140,10 +140,10 @@ def measured(folder: Path) -> list[Measured]:
         for pattern in ("50cm*11-46-55*", "50cm*11-47-32*", "50cm*11-47-59*")
     ]
     return [
-        mean_of("30 cm, mode 1", [nearest_hz(m, 16.0) for m in short]),
-        mean_of("30 cm, mode 2", [nearest_hz(m, 108.0) for m in first]),
-        mean_of("50 cm, mode 1", [nearest_hz(m, 6.0) for m in long]),
-        mean_of("50 cm, mode 2", [nearest_hz(m, 39.0) for m in long]),
+        _mean("30 cm, mode 1", [_near(m, 16.0) for m in short]),
+        _mean("30 cm, mode 2", [_near(m, 108.0) for m in first]),
+        _mean("50 cm, mode 1", [_near(m, 6.0) for m in long]),
+        _mean("50 cm, mode 2", [_near(m, 39.0) for m in long]),
     ]
 
 
@@ -182,12 +182,12 @@ def modes_in(
     return found.modes if found else ()
 
 
-def nearest_hz(modes: tuple[IdentifiedMode, ...], frequency_hz: float) -> float:
+def _near(modes: tuple[IdentifiedMode, ...], frequency_hz: float) -> float:
     mode = min(modes, key=lambda m: abs(m.frequency_hz - frequency_hz))
     return mode.small_amplitude_frequency[0]
 
 
-def mean_of(name: str, values: list[float]) -> Measured:
+def _mean(name: str, values: list[float]) -> Measured:
     return Measured(name, float(np.mean(values)), float(np.std(values, ddof=1)))
 
 

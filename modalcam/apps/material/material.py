@@ -97,7 +97,9 @@ def material(
         raise InputError(msg)
     left = [m for m in modes if m.number not in {value.mode for value in values}]
     unused = [f"Mode {m.number} ({m.frequency_hz.value:.4g} Hz) is not used." for m in left]
-    notes = (*notes, *unused, *without_sd(specimen, modes, base))
+    flags = [f"Mode {m.number}: {remark}." for m in modes for remark in m.remarks]
+    flags += [f"Bare bar, mode {m.number}: {remark}." for m in base for remark in m.remarks]
+    notes = (*notes, *unused, *flags, *without_sd(specimen, modes, base))
     return Material(specimen, tuple(values), tuple(conditions(specimen, modes, values)), notes)
 
 
