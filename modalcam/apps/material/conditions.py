@@ -126,7 +126,9 @@ def _of_beam_theory(values: Sequence[MaterialValue]) -> Iterator[Condition]:
 
 def without_sd(specimen: Specimen, *modes: Iterable[BarMode]) -> Iterator[str]:
     """A sentence on values without a standard deviation."""
-    names = [name for name, value in specimen.given().items() if np.isnan(value.sd)]
+    exact = [name for name, value in specimen.given().items() if np.isnan(value.sd)]
+    # No equation of a clamped bar has its width.
+    names = [name for name in exact if name != "width_mm" or specimen.kind == "free-free"]
     of_modes = [q for some in modes for m in some for q in (m.frequency_hz, m.damping_ratio) if q is not None]
     if any(np.isnan(q.sd) for q in of_modes):
         names.append("some frequencies or damping ratios")

@@ -28,7 +28,7 @@ def modes_of(result: RunResult) -> tuple[tuple[BarMode, ...], tuple[str, ...]]:
     for one in found.modes:
         ratio = Quantity(one.damping_ratio, one.damping_ratio_sd) if one.damping_ratio > 0.0 else None
         modes.append(BarMode(one.number, Quantity(one.frequency_hz, one.frequency_sd_hz), ratio, one.remarks))
-    return tuple(modes), found.left_out
+    return tuple(modes), tuple(f"Left out: {one}." for one in found.left_out)
 
 
 _Modes = tuple[Path | None, Sequence[str]]
