@@ -2,6 +2,7 @@
 
 All are element by element over arrays of one shape, so that draws pass through as they are; NaN gives NaN. No equation
 knows gravity, added masses, air or a clamp that is not rigid. The loss factor of a mode is twice its damping ratio.
+They are as the literature attributes them to the standards; tests verify each against theory that does not use it.
 
 References
 ----------
