@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from modalcam.plugins import load_apps
 from modalcam.tables import markdown
 
+load_apps("plugin")
 Path(__file__).with_suffix(".md").write_text(markdown(), encoding="utf-8")

@@ -128,15 +128,15 @@ def measured(folder: Path) -> list[Measured]:
     that mode, beside a weaker one at 310 Hz.
     """
     short = [
-        _modes(folder, pattern, max_modes=1)
+        modes_in(folder, pattern, max_modes=1)
         for pattern in ("30cm*21-08-55*", "30cm*21-12-02*", "30cm*21-13-02*")
     ]
     first = [
-        _modes(folder, pattern, between_s=between, every=1, max_modes=3, target_frequency_hz=108.0)
+        modes_in(folder, pattern, between_s=between, every=1, max_modes=3, target_frequency_hz=108.0)
         for pattern, between in (("30cm*21-12-02*", (0.17, 1.2)), ("30cm*21-13-02*", (0.1, 0.9)))
     ]
     long = [
-        _modes(folder, pattern, max_modes=2)
+        modes_in(folder, pattern, max_modes=2)
         for pattern in ("50cm*11-46-55*", "50cm*11-47-32*", "50cm*11-47-59*")
     ]
     return [
@@ -147,7 +147,7 @@ def measured(folder: Path) -> list[Measured]:
     ]
 
 
-def _modes(
+def modes_in(
     folder: Path,
     pattern: str,
     *,

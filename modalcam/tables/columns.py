@@ -8,7 +8,6 @@ tuple of its table; CSV, JSON and docs/columns.md follow.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
@@ -63,7 +62,7 @@ DRAG_COLUMNS = (
     replace(_NAMED["damping_ratio"], text="damping ratio at small amplitude"),
     _NAMED["damping_ratio_sd"],
 )
-TABLES: Mapping[str, tuple[Column, ...]] = {
+TABLES: dict[str, tuple[Column, ...]] = {
     "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),
     "modes.csv": (_RECORDING, *MODE_COLUMNS),
     "aliases.csv": ALIAS_COLUMNS,
@@ -77,6 +76,13 @@ TABLES: Mapping[str, tuple[Column, ...]] = {
     "damping_parts.csv": PART_COLUMNS,
     "summary.json, drag": (_RECORDING, _MODE, *DRAG_COLUMNS),
 }
+
+
+def register_table(name: str, columns: tuple[Column, ...]) -> None:
+    """Add the columns of a table that an app or a plugin writes; ValueError if the name is taken."""
+    if TABLES.setdefault(name, columns) is not columns:
+        msg = f"a table named {name!r} is registered already; choose another name"
+        raise ValueError(msg)
 
 
 def markdown() -> str:

@@ -366,7 +366,7 @@ def test_recordings_of_the_cantilever_give_the_frequencies_on_the_page(
     cantilever, cantilever_text, row, pattern, guess_hz, options
 ):
     page = cantilever.measured_on(cantilever_text)[row]
-    modes = cantilever._modes(CANTILEVER_DATA, pattern, target_frequency_hz=guess_hz, **options)
+    modes = cantilever.modes_in(CANTILEVER_DATA, pattern, target_frequency_hz=guess_hz, **options)
     # one of two or three repeats deviates from the mean by at most 1.15 of their standard deviation, plus rounding
     assert cantilever._near(modes, guess_hz) == pytest.approx(page.frequency_hz, abs=1.16 * page.sd_hz + 1e-4)
 

@@ -17,6 +17,7 @@ COMMANDS_OF_APPS = [
     "pick",
     "compare",
     "deck",
+    "material",
 ]
 SAMPLES = ROOT / "sample_videos"
 # third-party recordings; without them, the tests that need them are skipped

@@ -33,6 +33,8 @@ class DampedMode:
         90 % interval of `damping_ratio`.
     remarks : tuple of str
         Flags and what they mean for the value.
+    frequency_sd_hz, damping_ratio_sd : float
+        Standard deviations, with the error of the frame rate and the scatter between recordings; NaN where unknown.
     """
 
     number: int
@@ -41,6 +43,8 @@ class DampedMode:
     low: float
     high: float
     remarks: tuple[str, ...] = ()
+    frequency_sd_hz: float = float("nan")
+    damping_ratio_sd: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,8 @@ def _damped(mode: MeasuredMode, usable: list[RecordingResult]) -> DampedMode:
     remarks = [f"{name}: {flag}{_small(one, flag)}" for name, one in of for flag in one.flags]
     if mode.damping.disagree:
         remarks.append("The recordings disagree; the interval includes their scatter.")
-    return DampedMode(mode.number, mode.frequency_hz, mode.damping_ratio, low, high, tuple(remarks))
+    sds = (mode.frequency_sd_hz, mode.damping_ratio_sd)
+    return DampedMode(mode.number, mode.frequency_hz, mode.damping_ratio, low, high, tuple(remarks), *sds)
 
 
 def _small(mode: IdentifiedMode, flag: str) -> str:

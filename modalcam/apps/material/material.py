@@ -1,0 +1,230 @@
+"""Moduli and loss factors of a specimen with intervals, and which conditions of the equations hold.
+
+Errors are propagated by Monte Carlo: the dimensions, once for all modes, and each mode's frequency and damping ratio
+are drawn, and every draw passes through the equations. Linear propagation suffices for a bare bar, but not for a layer
+that hardly changes the frequency: its modulus is a small difference, whose distribution reaches zero.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalcam.apps.material import equations
+from modalcam.apps.material.conditions import E756, E1876, Condition, MaterialValue, conditions, without_sd
+from modalcam.apps.material.run import departures
+from modalcam.apps.material.specimen import LAYERED, BarMode, Quantity, Specimen
+from modalcam.common import InputError
+from sim.beam import BeamProperties
+from tracker import FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Propagation of errors."""
+
+    #: [draws] of every measured value
+    #: statistics: The ends of a 90 % interval are then within 2 % of the standard deviation (1 sd).
+    draws: int = 20_000
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the equations give for a specimen, with notes on what was left out and errors that intervals lack."""
+
+    specimen: Specimen
+    values: tuple[MaterialValue, ...]
+    conditions: tuple[Condition, ...]
+    notes: tuple[str, ...] = ()
+
+
+def material(
+    specimen: Specimen,
+    modes: Sequence[BarMode],
+    base: Sequence[BarMode] = (),
+    *,
+    beam: BeamProperties | None = None,
+    notes: Sequence[str] = (),
+    seed: int = 0,
+) -> Material:
+    """Moduli and loss factors of a specimen from its modes.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    modes, base : sequence of BarMode
+        Of the specimen and, where it has a layer, of the bar without it, each number once. Modes that cannot be used
+        are left out with a note: of a free bar all but mode 1, of layers those that only one of both has.
+    beam : BeamProperties, optional
+        Orientation, point masses and clamp of a bare bar, for the error that leaving them out causes.
+    notes : sequence of str
+        Further notes.
+    seed : int
+        Of the draws.
+
+    Raises
+    ------
+    InputError
+        If no mode is left, or a mode is given twice.
+
+    Notes
+    -----
+    The loss factor, twice the damping ratio, is that of the specimen with air and clamp: an upper limit of the
+    material's. The error of a frame rate that both runs of a layered specimen share cancels in the ratio of their
+    frequencies, but is counted: those intervals are too wide.
+    """
+    for numbers, name in (([m.number for m in modes], "--mode"), ([m.number for m in base], "--base-mode")):
+        if len(set(numbers)) < len(numbers):
+            msg = f"{name}: expected each mode once, found {', '.join(map(str, numbers))}"
+            raise InputError(msg)
+    made = _Draws(specimen, np.random.default_rng(seed))
+    if specimen.kind == "free-free":
+        values = list(_free(made, modes, specimen.torsion_hz))
+    elif specimen.kind in LAYERED:
+        values = list(_layered(made, modes, base, specimen.kind))
+    else:
+        values = list(_bar(made, modes, specimen, beam))
+    if not values:
+        needed = "that the bare bar has, too" if specimen.kind in LAYERED else "1 of the free bar"
+        listed = ", ".join(str(one.number) for one in modes)
+        msg = f"expected a mode {needed}, with a damping ratio for a layer; found modes {listed}; give it with --mode"
+        raise InputError(msg)
+    left = [m for m in modes if m.number not in {value.mode for value in values}]
+    unused = [f"Mode {m.number} ({m.frequency_hz.value:.4g} Hz) is not used." for m in left]
+    flags = [f"Mode {m.number}: {remark}." for m in modes for remark in m.remarks]
+    flags += [f"Bare bar, mode {m.number}: {remark}." for m in base for remark in m.remarks]
+    notes = (*notes, *unused, *flags, *without_sd(specimen, modes, base))
+    return Material(specimen, tuple(values), tuple(conditions(specimen, modes, values)), notes)
+
+
+class _Draws:
+    """Measured values in SI by name: the value itself, then its draws, shape (1 + draws,) each."""
+
+    def __init__(self, specimen: Specimen, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.standard = E1876 if specimen.kind == "free-free" else E756
+        self.of: dict[str, FloatArray] = {}
+        for name, value in specimen.given().items():
+            in_si = re.sub("_g$", "_kg", re.sub("_mm$", "_m", name))
+            self.of[in_si] = value.draws(rng, TUNING.draws) * (1.0 if in_si == name else 1e-3)
+
+    def add(self, name: str, value: Quantity) -> FloatArray:
+        self.of[name] = value.draws(self.rng, TUNING.draws)
+        return self.of[name]
+
+    def some(self, *names: str) -> dict[str, FloatArray]:
+        return {name: self.of[name] for name in names}
+
+    def value(
+        self, name: str, drawn: FloatArray, sources: Iterable[str], one: BarMode, mode: int | str | None = 0
+    ) -> MaterialValue:
+        """The row of a value from its draws and the names of what it was computed from; of `one`, or another `mode`."""
+        unit, scale = ("GPa", 1e-9) if name[0] in "EG" else ("1", 1.0)
+        draws = scale * drawn[1:]
+        low, high = np.quantile(draws, [0.05, 0.95])
+        shares = {source: _share(draws, self.of[source][1:]) for source in sources}
+        largest = max(shares, key=shares.__getitem__)
+        hz = one.frequency_hz
+        return MaterialValue(
+            mode=one.number if mode == 0 else mode,
+            frequency_hz=hz.value,
+            frequency_sd_hz=hz.sd,
+            quantity=name,
+            unit=unit,
+            value=scale * float(drawn[0]),
+            sd=float(np.std(draws)),
+            q05=float(low),
+            q95=float(high),
+            largest_source=re.sub("_(m|kg|kg_m3|hz)$", "", largest) if shares[largest] else "",
+            share=shares[largest],
+            equations=self.standard,
+            remarks="|".join(one.remarks),
+        )
+
+    def loss_factor(self, one: BarMode) -> Iterator[MaterialValue]:
+        if one.damping_ratio is not None:
+            yield self.value(
+                "loss_factor", 2.0 * self.add("damping_ratio", one.damping_ratio), ["damping_ratio"], one
+            )
+
+
+def _share(draws: FloatArray, source: FloatArray) -> float:
+    """Squared correlation of two sets of draws; 0 where one does not vary."""
+    a, b = draws - np.mean(draws), np.log(source) - np.mean(np.log(source))
+    varies = min(np.ptp(draws) / abs(np.mean(draws)), np.ptp(b)) > 1e-12
+    return float(np.sum(a * b)) ** 2 / float(np.sum(a * a) * np.sum(b * b)) if varies else 0.0
+
+
+def _bar(
+    made: _Draws, modes: Sequence[BarMode], specimen: Specimen, beam: BeamProperties | None
+) -> Iterator[MaterialValue]:
+    sizes = made.some("length_m", "thickness_m", "density_kg_m3")
+    wrong = {}
+    if beam is not None and "width_m" in made.of:
+        exact = {name: drawn[:1] for name, drawn in sizes.items()}
+        hz = {one.number: np.array([one.frequency_hz.value]) for one in modes}
+        wrong = departures(
+            beam, specimen, {n: float(equations.bar_modulus(f, n, **exact)[0]) for n, f in hz.items()}
+        )
+    for one in modes:
+        e = equations.bar_modulus(made.add("frequency", one.frequency_hz), one.number, **sizes)
+        yield made.value("E", e, [*sizes, "frequency"], one)
+        error = wrong.get(one.number, float("nan"))
+        if np.isfinite(error):
+            yield made.value("E_corrected", e / (1.0 + error), [*sizes, "frequency"], one)
+        yield from made.loss_factor(one)
+
+
+def _layered(
+    made: _Draws, modes: Sequence[BarMode], base: Sequence[BarMode], kind: str
+) -> Iterator[MaterialValue]:
+    of, bare = made.of, {one.number: one for one in base}
+    t, d = of["layer_thickness_m"] / of["thickness_m"], of["layer_density_kg_m3"] / of["density_kg_m3"]
+    mass_ratio = {"oberst": 1.0 + d * t, "modified-oberst": 1.0 + 2.0 * d * t, "sandwich": 2.0 + d * t}[kind]
+    sizes = made.some("length_m", "thickness_m")
+    for one in modes:
+        if one.number not in bare or one.damping_ratio is None:
+            continue
+        base_hz = made.add("base_frequency", bare[one.number].frequency_hz)
+        e = equations.bar_modulus(base_hz, one.number, density_kg_m3=of["density_kg_m3"], **sizes)
+        a = (made.add("frequency", one.frequency_hz) / base_hz) ** 2 * mass_ratio
+        eta = 2.0 * made.add("damping_ratio", one.damping_ratio)
+        if kind == "sandwich":
+            modulus = equations.sandwich_core(
+                a, eta, one.number, base_modulus_pa=e, thickness_ratio=t, **sizes
+            )
+        elif kind == "oberst":
+            modulus = equations.oberst_layer(a, eta, base_modulus_pa=e, thickness_ratio=t)
+        else:
+            modulus = equations.modified_oberst_layer(a, eta, base_modulus_pa=e, thickness_ratio=t)
+        sources = [name for name in of if name != "width_m"]
+        yield made.value("G1" if kind == "sandwich" else "E1", modulus.real, sources, one)
+        yield made.value("loss_factor_1", modulus.imag / modulus.real, sources, one)
+        yield made.value("E", e, [*sizes, "density_kg_m3", "base_frequency"], bare[one.number])
+        yield made.value("loss_factor", eta, ["damping_ratio"], one)
+
+
+def _free(made: _Draws, modes: Sequence[BarMode], torsion: Quantity | None) -> Iterator[MaterialValue]:
+    sizes = made.some("length_m", "width_m", "thickness_m")
+    volume = sizes["length_m"] * sizes["width_m"] * sizes["thickness_m"]
+    mass = made.of["mass_kg"] if "mass_kg" in made.of else made.of["density_kg_m3"] * volume
+    for one in modes:
+        if one.number != 1:
+            continue
+        hz, sources = made.add("frequency", one.frequency_hz), list(made.of)
+        if torsion is None:
+            e = equations.free_bar_modulus(hz, made.of["poisson_ratio"], mass_kg=mass, **sizes)
+            yield made.value("E", e, sources, one)
+        else:
+            e, g, mu = equations.free_bar(hz, made.of["torsion_hz"], mass_kg=mass, **sizes)
+            yield made.value("E", e, sources, one)
+            twisted = BarMode(1, torsion)
+            yield made.value("G", g, sources, twisted, "torsion")
+            yield made.value("poisson_ratio", mu, sources, one, None)
+        yield from made.loss_factor(one)

@@ -1,0 +1,118 @@
+"""What a run knows of its specimen: the modes, and the dimensions and bodies of ``[beam]``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from scipy.optimize import newton
+
+from modalcam.apps.deck import damping_of
+from modalcam.apps.material.specimen import LAYERED, BarMode, Kind, Quantity, Specimen, mode, quantity
+from modalcam.common import InputError
+from modalcam.pipeline import RunResult, load_run
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
+
+
+def modes_of(result: RunResult) -> tuple[tuple[BarMode, ...], tuple[str, ...]]:
+    """Modes of a run with a number and no flag of a wrong value, and sentences on those left out.
+
+    Frequencies are those at small amplitude, damping ratios those at the amplitudes of the recordings; both combined
+    over the recordings. InputError without such a mode.
+    """
+    found = damping_of(result)
+    modes = []
+    for one in found.modes:
+        ratio = Quantity(one.damping_ratio, one.damping_ratio_sd) if one.damping_ratio > 0.0 else None
+        modes.append(BarMode(one.number, Quantity(one.frequency_hz, one.frequency_sd_hz), ratio, one.remarks))
+    return tuple(modes), tuple(f"Left out: {one}." for one in found.left_out)
+
+
+_Modes = tuple[Path | None, Sequence[str]]
+
+
+def request(
+    kind: str, sizes: Mapping[str, str | None], of: _Modes, bare: _Modes, plugins: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Arguments of `material` from the words of the command: values, and a run or modes of specimen and bare bar.
+
+    What is not given comes from ``[beam]`` of the bar's run, without a standard deviation. InputError if both or
+    neither of a run and modes are given, or something cannot be read.
+    """
+    read = {n: quantity(text, f"--{n.replace('_', '-')}") for n, text in sizes.items() if text is not None}
+    result, modes, notes = _modes(of, "OUT", "--mode", plugins)
+    bar, base = result, tuple[BarMode, ...]()
+    if kind in LAYERED:
+        bar, base, more = _modes(bare, "--base", "--base-mode", plugins)
+        notes = (*notes, *more)
+    elif any(bare):
+        msg = f"--base and --base-mode: expected only with --specimen {', '.join(LAYERED)}; found {kind}"
+        raise InputError(msg)
+    beam = bar.beam.standard if bar and bar.beam else None
+    if beam:
+        sides = {"length_mm": 1e3 * beam.length_m, "density_kg_m3": beam.density_kg_m3}
+        sides |= {f"{n}_mm": 1e3 * float(np.mean(getattr(beam, f"{n}_m"))) for n in ("width", "thickness")}
+        if "mass_g" in read:
+            del sides["density_kg_m3"]
+        read = {name: Quantity(value) for name, value in sides.items()} | read
+    return {
+        "specimen": Specimen(cast("Kind", kind), **read),
+        "modes": modes,
+        "base": base,
+        "beam": beam if kind == "bar" else None,
+        "notes": notes,
+    }
+
+
+def _modes(
+    given: _Modes, run: str, option: str, plugins: tuple[str, ...]
+) -> tuple[RunResult | None, tuple[BarMode, ...], tuple[str, ...]]:
+    folder, texts = given
+    if (folder is None) == (not texts):
+        state = "neither" if folder is None else "both"
+        msg = f"expected either {run}, a finished run, or {option}; found {state}"
+        raise InputError(msg)
+    if folder is None:
+        return None, tuple(mode(text, option) for text in texts), ()
+    result = load_run(folder, plugins)
+    return result, *modes_of(result)
+
+
+def departures(beam: BeamProperties, specimen: Specimen, moduli_pa: dict[int, float]) -> dict[int, float]:
+    """Relative error of the modulus of each mode by what the equations leave out: gravity, point masses, elastic clamp.
+
+    The beam with these has, at the modulus sought, the frequency that one without them has at the modulus found; both
+    are computed on one mesh with the dimensions of the specimen. NaN for a standing beam that would buckle.
+    """
+    sizes = {name: value.value for name, value in specimen.given().items()}
+    bare = BeamProperties.uniform(
+        length_m=1e-3 * sizes["length_mm"],
+        width_m=1e-3 * sizes["width_mm"],
+        thickness_m=1e-3 * sizes["thickness_mm"],
+        density_kg_m3=sizes["density_kg_m3"],
+        elastic_modulus_pa=1.0,
+        orientation="none",
+        elements=beam.elements,
+    )
+    names = ("orientation", "point_masses", "gravity_m_s2", "angle_deg", "clamp")
+    full = replace(bare, **{name: getattr(beam, name) for name in names})
+    slope = beam_modes(AncfBeam(bare), max(moduli_pa)).omega_rad_s ** 2
+    return {n: _departure(full, n, e, float(slope[n - 1])) for n, e in moduli_pa.items()}
+
+
+def _departure(beam: BeamProperties, number: int, modulus_pa: float, slope: float) -> float:
+    """Of one mode; `slope` is the squared frequency of the beam without bodies at 1 Pa."""
+
+    def excess(e: float) -> float:
+        modes = beam_modes(AncfBeam(replace(beam, elastic_modulus_pa=e)), number)
+        return float(modes.omega_rad_s[number - 1]) ** 2 / slope - modulus_pa
+
+    try:
+        # Affine in the modulus but for the shape's dependence on it: three steps of the secant.
+        found = newton(excess, modulus_pa, x1=1.01 * modulus_pa, rtol=1e-9)
+    except (BuckledBeamError, NoEquilibriumError, RuntimeError):
+        return float("nan")
+    return modulus_pa / float(found) - 1.0
