@@ -128,7 +128,7 @@ def identify(
         float | None, typer.Option("--end-s", min=0.0, metavar="S", help=f"{CONFIG_HELP}recordings.end_s")
     ] = None,
     excitation: ForExcitation = None,
-    unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
+    unit: Annotated[str, typer.Option(help="Unit of channels without one.")] = "1",
     rate: Annotated[
         float | None,
         typer.Option(
@@ -142,13 +142,11 @@ def identify(
     output_only: Annotated[bool, typer.Option("--output-only", help="Ignore the input.")] = False,
     input_unit: Annotated[
         str | None,
-        typer.Option("--input-unit", help="Unit of the input, if it is a force."),
+        typer.Option("--input-unit", help="Unit of a force as input."),
     ] = None,
     input_lag: Annotated[
         str | None,
-        typer.Option(
-            "--input-lag", "--input-lag-ms", metavar="MS", help="By which the input is late, or auto."
-        ),
+        typer.Option("--input-lag-ms", metavar="MS", help="By which the input is late, or auto."),
     ] = None,
     json_: Json = False,
     verbose: Verbose = 0,

@@ -116,7 +116,7 @@ def test_the_report_states_the_lag_of_the_input(tmp_path):
     one = record("hand", 2)
     rows = one.time_s < one.time_s[0] + 8.0
     _table(Record(one.time_s[rows], one.base[rows], one.values[rows]), tmp_path / "take.csv")
-    command = ["identify", str(tmp_path / "take.csv"), "--input", "base", "--unit", "mm", "--input-lag"]
+    command = ["identify", str(tmp_path / "take.csv"), "--input", "base", "--unit", "mm", "--input-lag-ms"]
     for lag, words in (("-2.5", "was taken to be late by"), ("auto", "estimated with the modes")):
         out = tmp_path / f"out{lag}"
         result = CliRunner().invoke(app, [*command, lag, "-o", str(out)])
