@@ -5,10 +5,11 @@ from .base import Writer as Writer
 from .columns import SHAPE_COLUMNS as SHAPE_COLUMNS
 from .columns import TABLES as TABLES
 from .columns import markdown as markdown
-from .columns import register_table as register_table
 from .csv_files import write_table as write_table
 from .csv_files import write_tracks as write_tracks
 from .first_frame import write_first_frame as write_first_frame
+from .registered import REGISTERED as REGISTERED
+from .registered import register_table as register_table
 from .shapes import SHAPES as SHAPES
 from .summary import jsonable as jsonable
 from .summary import summary as summary

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
 from modal_id.modes import ALIAS_COLUMNS
+from modalcam.tables.registered import REGISTERED
 from sim.comparison import COMPARISON_COLUMNS
 from sim.damping import LAW_COLUMNS, LEFT_OUT_COLUMNS, PART_COLUMNS
 from sim.updating import UPDATING_COLUMNS
@@ -78,13 +79,6 @@ TABLES: dict[str, tuple[Column, ...]] = {
 }
 
 
-def register_table(name: str, columns: tuple[Column, ...]) -> None:
-    """Add the columns of a table that an app or a plugin writes; ValueError if the name is taken."""
-    if TABLES.setdefault(name, columns) is not columns:
-        msg = f"a table named {name!r} is registered already; choose another name"
-        raise ValueError(msg)
-
-
 def markdown() -> str:
     """The page docs/columns.md, which `python docs/columns.py` writes."""
     lines = [
@@ -92,7 +86,7 @@ def markdown() -> str:
         "",
         "[Files of a run](files.md) explains the tables. NaN, or an empty cell, is a value that is not known.",
     ]
-    for table, columns in TABLES.items():
+    for table, columns in (TABLES | REGISTERED).items():
         lines += ["", f"## `{table}`", "", "| column | unit | meaning |", "| --- | --- | --- |"]
         lines += [f"| `{one.name}` | {one.unit} | {one.text} |" for one in columns]
     return "\n".join(lines) + "\n"

@@ -16,7 +16,19 @@ from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
 from modalcam.inputs import read_uff
 from modalcam.pipeline import RecordingResult, RunResult, Workspace
-from modalcam.tables import WRITERS, Output, Writer, outputs, register_writer, with_missing_formats
+from modalcam.plugins import load_apps
+from modalcam.tables import (
+    REGISTERED,
+    TABLES,
+    WRITERS,
+    Output,
+    Writer,
+    outputs,
+    register_table,
+    register_writer,
+    with_missing_formats,
+)
+from tracker import Column
 
 
 @pytest.fixture
@@ -70,6 +82,15 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
     }
     assert names == expected | {"posterior/take.nc", "universal/take.uff"}
     assert len(json.loads((tmp_path / "summary.json").read_text())["recordings"]) == 1
+
+
+def test_a_registered_table_has_a_name_of_its_own(monkeypatch):
+    load_apps("plugin")
+    assert not REGISTERED.keys() & TABLES.keys()
+    monkeypatch.setattr("modalcam.tables.registered.REGISTERED", {})
+    register_table("x.csv", (Column("a", "", "one"),))
+    with pytest.raises(ValueError, match="registered already"):
+        register_table("x.csv", (Column("b", "", "another"),))
 
 
 def test_columns_of_other_tables_are_found_by_their_names(monkeypatch):
