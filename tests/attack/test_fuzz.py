@@ -12,7 +12,9 @@ from modalcam.pipeline import Limits, pool
 # A file is stopped after this long: it ends a hang, whatever else the machine does meanwhile.
 HANG_S = 240.0
 MOST_BYTES = 10**9
-FEW, MANY = 1, 80
+MANY = 80
+# Fast: one file of every third kind; readers of films are attacked in tracker/video/test_contract.py, too.
+FEW = tuple(WRITERS)[::3]
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +51,8 @@ def attacked(processes, whole, kinds, seeds):
     return codes
 
 
-def test_a_few_mutated_files_of_every_kind_are_read_flagged_or_refused(processes, whole):
-    codes = attacked(processes, whole, WRITERS, range(1, 1 + FEW))
+def test_a_few_mutated_files_are_read_flagged_or_refused(processes, whole):
+    codes = attacked(processes, whole, FEW, range(1, 2))
     # Mutations that always, or never, made a file unreadable would show little.
     assert codes[0] > 0
     assert codes[2] + codes[3] + codes[4] > 0

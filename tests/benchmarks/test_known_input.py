@@ -79,7 +79,10 @@ def test_shaking_by_hand_shows_the_mode_that_it_drives() -> None:
 
 # In the sweep of seed 29 the first pole that is found lies between both modes; the lines of the broad record are
 # further apart than the width of a resonance.
-@pytest.mark.parametrize(("kind", "seed"), [("random", 3), ("sweep", 29), ("broad", 12)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("random", 3), *(pytest.param(*one, marks=pytest.mark.slow) for one in (("sweep", 29), ("broad", 12)))],
+)
 def test_noise_of_the_input_does_not_bias_damping(kind: str, seed: int) -> None:
     _check(_found(_series(record(kind, seed, input_noise_mm=0.02), input_sd=0.02)))
 
@@ -123,7 +126,7 @@ def test_no_mode_of_the_input_of_another_record_is_without_a_flag() -> None:
     assert all(mode.flags for mode in modes), f"the input is unrelated, found {found!r}"
 
 
-@pytest.mark.parametrize("noise_mm", [0.0, 0.02])
+@pytest.mark.parametrize("noise_mm", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_noise_of_the_input_is_estimated_where_its_spectrum_has_a_floor(noise_mm: float) -> None:
     one = record("hand", 2, input_noise_mm=noise_mm)
     stated, unstated = _found(_series(one, input_sd=noise_mm)), _found(_series(one))

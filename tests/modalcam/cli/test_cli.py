@@ -221,6 +221,7 @@ def test_without_a_folder_for_the_results_it_is_named_after_the_input_and_never_
     assert not found.is_relative_to(folder), "a later run would read its own results as recordings"
 
 
+@pytest.mark.usefixtures("in_process")
 def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
     tmp_path, modalcam, monkeypatch
 ):
@@ -240,6 +241,7 @@ def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
     assert "AMPLITUDE_DEPENDENT" in said
 
 
+@pytest.mark.usefixtures("in_process")
 def test_identify_says_of_several_decays_what_each_gives_and_of_driving_that_nothing_decays(
     tmp_path, modalcam
 ):

@@ -130,6 +130,7 @@ def check_values(words, *, before):
     )
 
 
+@pytest.mark.slow  # in the gate: support.other_processors, whose caches are apart
 def test_kernels_of_another_processor_are_not_used(two_processes, tmp_path):
     """In a cache that was copied, or is shared, each processor has its own."""
     shutil.copytree(two_processes[0], tmp_path, dirs_exist_ok=True)

@@ -154,6 +154,7 @@ def test_a_missing_scheduler_is_an_error_with_its_address(monkeypatch, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow  # in the fast suite: tasks of a run on a cluster, and one that kills its worker
 def test_a_run_that_loses_a_worker_gives_the_same_bytes_as_a_local_run(
     cluster, address, decay_run, tmp_path, monkeypatch
 ):
