@@ -312,10 +312,10 @@ def resolve_aliases(lines: Iterable[Line]) -> Aliases:
 
     with the Student density t, whose scale has the standard deviations of both lines and of both rates, and the scatter
     between recordings. A line that is the image of a stronger one, mirrored by errors that alternate from frame to
-    frame, does not count: at rates of 1:2 it lies at the alias. Lines at one rate count once, however many recordings
-    show them: a coincidence with another mode returns in each. Uneven times in the record of the line give it a
-    likelihood of its own. All frequencies are equally probable before; without the flag ALIASED_POSSIBLE, that
-    identified has the probability `Tuning.resolved`.
+    frame, does not count: at rates of 1:2 it lies at the alias. Nor does one with the number of another mode. Lines at
+    one rate count once, however many recordings show them: a coincidence with another mode returns in each. Uneven
+    times in the record of the line give it a likelihood of its own. All frequencies are equally probable before;
+    without the flag ALIASED_POSSIBLE, that identified has the probability `Tuning.resolved`.
 
     Frequencies are considered up to half the rate at which the aliases in all recordings that show the mode repeat
     (250 Hz for 250 and 500 Hz), at most `Tuning.highest` times the highest rate and `Tuning.periods` times that of the
@@ -413,7 +413,9 @@ def _ratios(line: Line, hz: FloatArray, others: Sequence[Line]) -> FloatArray:
     )
     distance = np.array([one.damped_hz for one in others])[:, None] - apparent
     density = peak * (1.0 + distance**2 / variance / nu) ** (-0.5 * (nu + 1.0)) / np.sqrt(variance)
-    return np.asarray(density * 0.5 * rate_hz)
+    # Lines with numbers of two modes are not one.
+    apart = [None not in (line.number, one.number) and one.number != line.number for one in others]
+    return np.where(np.array(apart)[:, None], 0.0, density * 0.5 * rate_hz)
 
 
 def _limit_hz(rates_hz: Sequence[float]) -> float:

@@ -36,6 +36,14 @@ def test_all_aliases_and_no_others_have_the_same_samples(frequency_hz, rate_hz):
     assert np.max(np.abs(np.cos(phase * between) - samples)) > 0.1
 
 
+def test_a_line_with_the_number_of_another_mode_is_no_alias():
+    """The samples' beam: mode 2 appears where mode 5, at 88.6 Hz, would if it were at 511.4 Hz."""
+    mode5, mode2 = Line("take5", 600.0, 88.59, 0.02, number=5), Line("take3", 250.0, 11.41, 0.02, number=2)
+    assert mode2.frequency_hz == pytest.approx(apparent_hz(511.41, 250.0), abs=0.01)
+    assert resolve_aliases([mode5, replace(mode2, number=None)]).lines[0].applies
+    assert not resolve_aliases([mode5, mode2]).lines[0].applies
+
+
 def structure(rng, rates_hz=(250.0, 410.0, 530.0), sd_hz=0.02, ppm=50.0):
     """Frequency and lines of one mode, as the model has them, and how many of the recordings show it.
 
