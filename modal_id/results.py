@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtri
 
-from modal_id.check import Check
 from modal_id.columns import FLAGS, IDENTITY, OF_MODE, OF_RECORD
 from modal_id.flags import ModeFlag
 
@@ -17,11 +16,10 @@ from modal_id.flags import ModeFlag
 from modal_id.mode_values import AmplitudeCurve as AmplitudeCurve  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import AmplitudeDependence as AmplitudeDependence  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
-from modal_id.mode_values import Table, axes_or_new
 from modal_id.record import FittingRate, Onset, Segment
-from modal_id.response_values import FrequencyResponse
 from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, table_row
 
 # The series is part of an identification; packages that use results import it from here.
@@ -30,6 +28,31 @@ from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+# p-value below which a check of the residual fails.
+ALARM = 0.01
+
+
+@dataclass(frozen=True)
+class Check:
+    """One statistic of the residual, with the likely cause of a small p-value and what to do, a sentence each.
+
+    ``typical`` is the median of the replicates; ``p_value`` is the share of values at least as large, among the
+    replicates and the record itself. ``frequency_hz`` is that of the line which the statistic measures, else NaN.
+    """
+
+    name: str
+    value: float
+    typical: float
+    p_value: float
+    cause: str
+    remedy: str
+    frequency_hz: float = float("nan")
+
+    @property
+    def holds(self) -> bool:
+        """Whether the record is not among the most extreme 1 %."""
+        return self.p_value > ALARM
 
 
 @dataclass(frozen=True, repr=False, eq=False)

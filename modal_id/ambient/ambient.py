@@ -8,31 +8,53 @@ import numpy as np
 
 from modal_id.ambient.bands import TUNING as BANDS
 from modal_id.ambient.bands import Band, Peak, band_data, bands_of, find_peaks_of, singular_values
-from modal_id.ambient.expected import variance
-from modal_id.ambient.law import law_note
 from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandFit, spectrum
 from modal_id.ambient.order import TUNING as ORDER
-from modal_id.ambient.order import Order, choose_order, shares
-from modal_id.ambient.spectrum import Spectrum, spectrum_of
-from modal_id.ambient.stationarity import not_stationary
-from modal_id.ambient.tails import log_odds_over_tails
+from modal_id.ambient.order import Order, choose_order, log_odds_over_tails, shares
+from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
 from modal_id.fit import nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
 from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
-from modal_id.results import (
-    AmbientBand,
-    AmbientRecord,
-    FailedMode,
-    Identification,
-    IdentifiedMode,
-    Posterior,
-)
+from modal_id.results import AmbientBand, AmbientRecord, FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
+
+# [1] relative sds of the damping ratio that the report names
+_AIMS = (0.3, 0.1, 0.05)
+
+
+def log_sds(frequency_hz: float, damping_ratio: float, span_s: float, reach: float) -> tuple[float, float]:
+    """Relative standard deviations of frequency and damping ratio for a strong mode and a band of f (1 +- reach zeta).
+
+    Notes
+    -----
+    Au (2014), Structural Safety 48, doi:10.1016/j.strusafe.2014.02.001, eq. 1-4: with N_c cycles,
+    ``(sd f / f)^2 = zeta / (2 pi N_c B_f)`` and ``(sd zeta / zeta)^2 = 1 / (2 pi zeta N_c B_z)``, where
+    ``B_f = (2 / pi) (atan k - k / (k^2 + 1))`` and
+    ``B_z = (2 / pi) (atan k + k / (k^2 + 1) - 2 atan(k)^2 / k)`` for a reach of k half-widths. They follow from the
+    information of the logarithm of the density, ``sum (d ln D / d theta)^2``, with the level of the force unknown.
+    """
+    angle, ratio = np.arctan(reach), reach / (reach**2 + 1.0)
+    cycles = frequency_hz * span_s
+    of_f = 2.0 / np.pi * (angle - ratio)
+    of_zeta = 2.0 / np.pi * (angle + ratio - 2.0 * angle**2 / reach)
+    f_sd = np.sqrt(damping_ratio / (2.0 * np.pi * cycles * of_f))
+    return float(f_sd), float(1.0 / np.sqrt(2.0 * np.pi * damping_ratio * cycles * of_zeta))
+
+
+def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: float) -> str:
+    """What the record gives, and how long a record would give more: the square of the sd falls with the length."""
+    aim = next((aim for aim in _AIMS if aim < 0.8 * log_sd), 0.5 * log_sd)
+    needed_s = span_s * (log_sd / aim) ** 2
+    return (
+        f"This record of {span_s / 60.0:.3g} min ({frequency_hz * span_s:.0f} cycles) gives the damping ratio, "
+        f"{100.0 * damping_ratio:.3g} %, to {100.0 * log_sd:.2g} % of its value; {needed_s / 60.0:.2g} min would give "
+        f"it to {100.0 * aim:.2g} %."
+    )
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,6 @@ from .baseline import RELATIVE_BANDWIDTH as RELATIVE_BANDWIDTH
 from .baseline import bandwidth_hz as bandwidth_hz
 from .baseline import baseline_matrix as baseline_matrix
 from .baseline import baseline_splines as baseline_splines
-from .held import in_all_rows as in_all_rows
-from .held import of_rows as of_rows
-from .held import sampled_rows as sampled_rows
 from .outliers import beyond_limit as beyond_limit
 from .outliers import limited as limited
 from .outliers import reject_outliers as reject_outliers
@@ -18,7 +15,10 @@ from .prepare import longest_without_pause as longest_without_pause
 from .prepare import prepare as prepare
 from .prepare import with_base as with_base
 from .projection import project as project
+from .repeats import in_all_rows as in_all_rows
+from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
+from .repeats import sampled_rows as sampled_rows
 from .samples import FitData as FitData
 from .samples import detrended as detrended
 from .samples import neighbour_sums as neighbour_sums

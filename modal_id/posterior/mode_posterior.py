@@ -9,12 +9,19 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
-from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
-from modal_id.posterior.likelihood import reduce_mode
+from modal_id.posterior.likelihood import REACH_SD, PoleDensity, reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import SamplingError, sample
-from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
+from modal_id.results import (
+    AmplitudeDependence,
+    DrivenMotion,
+    FailedMode,
+    Identification,
+    IdentifiedMode,
+    Posterior,
+    SampledDraws,
+)
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import ComplexArray, FloatArray
@@ -271,3 +278,47 @@ def widened(
     wide = zetas + extra_sd[1] * rng.permutation(scores).reshape(zetas.shape)
     half = 0.5 * zetas
     return wide_hz, np.where(wide < half, half * np.exp(np.minimum(wide / half, 1.0) - 1.0), wide)
+
+
+def with_rate_error(found: Identification) -> Identification:
+    """The identification with the error of the frame rate in every frequency; unchanged where the rate is exact.
+
+    A wrong rate stretches time: all frequencies are wrong by the same factor, damping ratios and ratios of frequencies
+    are not. The draws of all modes are therefore multiplied by the same random factors of mean 1; driven motions have
+    no draws, and their standard deviations are increased.
+    """
+    ppm = found.series.rate_sd_ppm
+    if ppm == 0.0:
+        return found
+    note = (
+        f"The frame rate is known to {ppm:g} ppm (relative sd): the interval of every frequency includes it. The error "
+        "is common to all modes and to all recordings of one camera, and does not affect damping ratios. If the rate "
+        "is known better, give fps_tolerance_ppm."
+    )
+    return replace(
+        found,
+        modes=tuple(_widened(mode, ppm) for mode in found.modes),
+        driven=tuple(_widened_line(line, ppm) for line in found.driven),
+        notes=(*found.notes, note),
+    )
+
+
+def _widened_line(line: DrivenMotion, ppm: float) -> DrivenMotion:
+    return replace(
+        line, frequency_sd_hz=float(np.hypot(line.frequency_sd_hz, 1e-6 * ppm * line.frequency_hz))
+    )
+
+
+def _widened(mode: IdentifiedMode, ppm: float) -> IdentifiedMode:
+    posterior, dependence = mode.posterior, mode.amplitude_dependence
+    frequency_hz = posterior.frequency_hz * posterior.rate_factors(ppm)
+    if dependence is not None:
+        f0_sd_hz = float(np.hypot(dependence.f0_sd_hz, 1e-6 * ppm * dependence.f0_hz))
+        curve = dependence.curve
+        if curve is not None:
+            curve = replace(
+                curve, frequency_sd_hz=np.hypot(curve.frequency_sd_hz, 1e-6 * ppm * curve.frequency_hz)
+            )
+        dependence = replace(dependence, f0_sd_hz=f0_sd_hz, curve=curve)
+    widened = replace(posterior, frequency_hz=frequency_hz, rate_sd_ppm=ppm)
+    return replace(mode, posterior=widened, amplitude_dependence=dependence)

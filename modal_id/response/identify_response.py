@@ -10,20 +10,17 @@ from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
 from modal_id.flags import ModeFlag
+from modal_id.mode_values import FrequencyResponse
 from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
-from modal_id.response.channel import Channel
-from modal_id.response.columns import Samples
-from modal_id.response.frf import TUNING as FRF
-from modal_id.response.frf import coherence, local_polynomial, model_bands
+from modal_id.response.columns import Channel, Samples
 from modal_id.response.input_checks import sparse_outputs, unusable
-from modal_id.response.known_input import criterion, fit_response
-from modal_id.response.lag import fit_with_lag
+from modal_id.response.known_input import criterion, fit_response, fit_with_lag
 from modal_id.response.noise import InputNoise
-from modal_id.response.solution import ResponseFit, left_at_mode
-from modal_id.response_values import FrequencyResponse
+from modal_id.response.solution import TUNING as FRF
+from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz

@@ -9,8 +9,15 @@ import numpy as np
 
 from modal_id.data import FitData, detrended, rough_variance
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.dominant import Tones, find_tones, without_swing
-from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_JUMP, is_probably_driven, is_rather_driven
+from modal_id.segments.change_point import ChangeSearch
+from modal_id.segments.drive_odds import (
+    PRIOR,
+    PRIOR_AFTER_JUMP,
+    decays,
+    is_probably_driven,
+    is_rather_driven,
+    probability_of_drive,
+)
 from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
@@ -19,11 +26,9 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
-from modal_id.segments.line_blocks import line_blocks
+from modal_id.segments.lines import Tones, find_tones, line_blocks, without_swing
 from modal_id.segments.partition import Change, likeliest_change
 from modal_id.segments.spikes import without_spikes
-from modal_id.segments.steadiness import decays, probability_of_drive
-from modal_id.segments.stop import ChangeSearch
 from tracker import BoolArray, FloatArray
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from modal_id.data import FitData, baseline_matrix, rough_variance
 from modal_id.fit import ModalFit
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
+from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.partition import Change, find_changes
-from modal_id.segments.stop import ChangeSearch
 from modal_id.solve import mode_functions, real_columns
 from tracker import BoolArray, FloatArray
 
