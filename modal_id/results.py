@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -115,6 +116,16 @@ class IdentifiedMode(Table):
         """What a flag of this mode means for its values; the usual severity where its effect was not computed."""
         found = dict(self.severities).get(flag)
         return ModeFlag[flag].usual_severity if found is None else Severity[found]
+
+    def with_flags(self, flags: Sequence[ModeFlag], *words: str) -> IdentifiedMode:
+        """The mode with further flags of their usual severity, and notes after those that explain the flags."""
+        texts, others = self.notes[: len(self.flags)], self.notes[len(self.flags) :]
+        return replace(
+            self,
+            flags=(*self.flags, *(flag.name for flag in flags)),
+            notes=(*texts, *(flag.value for flag in flags), *others, *words),
+            severities=(*self.severities, *((flag.name, flag.usual_severity.name) for flag in flags)),
+        )
 
     @property
     def wrong_flags(self) -> tuple[str, ...]:

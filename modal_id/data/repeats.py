@@ -253,9 +253,4 @@ def _flagged(mode: IdentifiedMode, rate_hz: float) -> IdentifiedMode:
     note = f"Sampled at {rate_hz:.4g} Hz, a vibration at {others} cannot be distinguished from one at {hz:.4g} Hz."
     if flag.name in mode.flags:
         return replace(mode, notes=(*mode.notes, note))
-    return replace(
-        mode,
-        flags=(*mode.flags, flag.name),
-        notes=(*mode.notes, flag.value, note),
-        severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
-    )
+    return mode.with_flags([flag], note)

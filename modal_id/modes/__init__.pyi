@@ -36,7 +36,9 @@ from .numbering import Numbering as Numbering
 from .numbering import TargetChoice as TargetChoice
 from .numbering import choose_target as choose_target
 from .numbering import choose_target_of as choose_target_of
+from .numbering import missing_target as missing_target
 from .numbering import number_modes as number_modes
+from .numbering import numbered as numbered
 from .numbering import rejected_modes as rejected_modes
 from .numbering import shape_disagreement as shape_disagreement
 from .residual_checks import line_effect as line_effect

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
 from modal_id.flags import ModeFlag
 from modal_id.mode_values import FrequencyResponse
-from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
@@ -184,12 +184,11 @@ def _assembled(
     fitted[cells] = columns @ found.coefficients
     baseline[cells] = columns[:, 2:6] @ found.coefficients[2:6]
     used[cells] = given = samples.given[places]
-    residual_sd = np.full(k, np.nan)
-    residual_sd[prepared.channels] = np.sqrt(
-        np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
-    )
+    left = np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
     listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
-    modes, failed = _numbered(listed, samples, settings)
+    failed = [one for one in listed if isinstance(one, FailedMode)]
+    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
+    kept, others = numbered(modes, settings, 1.0 / samples.step_s)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     whole = rows.stop - rows.start == series.time_s.size
     part = "from the first sample to the last" if whole else f"from {start_s:.4g} to {end_s:.4g} s"
@@ -197,12 +196,12 @@ def _assembled(
     return Identification(
         series=series,
         onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
-        modes=modes,
-        failed=failed,
+        modes=kept,
+        failed=(*failed, *others),
         fitted=fitted,
         baseline=baseline,
         used=used == 1.0,
-        residual_sd=residual_sd,
+        residual_sd=prepared.in_series(np.sqrt(left), k),
         channels_used=np.isin(np.arange(k), prepared.channels),
         notes=(
             *series.notes,
@@ -247,62 +246,18 @@ def _mode(
     )
     z = found.samples.drive.response(pole)
     largest = z[int(np.argmax(np.abs(z)))]
-    k = len(series.channels)
-    shape, shape_sd = np.full(k, complex(np.nan, np.nan)), np.full(k, np.nan)
-    shape[prepared.channels] = driven * largest
-    shape_sd[prepared.channels] = errors / np.maximum(np.abs(values), 1e-300) * np.abs(driven * largest)
-    all_values, all_errors = np.full(k, np.nan), np.full(k, np.nan)
-    all_values[prepared.channels], all_errors[prepared.channels] = values, np.sqrt(factor) * errors
-    flags = (ModeFlag.RESIDUAL_AT_MODE,) if left > MUCH_LEFT else ()
-    return IdentifiedMode(
-        shape=shape,
-        shape_sd=shape_sd,
+    k, shape = len(series.channels), driven * largest
+    shape_sd = errors / np.maximum(np.abs(values), 1e-300) * np.abs(shape)
+    mode = IdentifiedMode(
+        shape=prepared.in_series(shape, k),
+        shape_sd=prepared.in_series(shape_sd, k),
         amplitude=float(np.nanmax(np.abs(shape))),
         amplitude_unit=series.unit,
         posterior=_posterior(pole, own, (float(sd[0]), float(sd[1])), factor, index, settings),
-        flags=tuple(flag.name for flag in flags),
-        notes=tuple(flag.value for flag in flags),
-        severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
-        participation=all_values,
-        participation_sd=all_errors,
+        participation=prepared.in_series(values, k),
+        participation_sd=prepared.in_series(np.sqrt(factor) * errors, k),
     )
-
-
-def _numbered(
-    listed: list[IdentifiedMode | FailedMode], samples: Samples, settings: IdentifySettings
-) -> tuple[tuple[IdentifiedMode, ...], tuple[FailedMode, ...]]:
-    """Modes with their numbers in theory, the requested or strongest one marked, and those that are not listed."""
-    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
-    failed = [one for one in listed if isinstance(one, FailedMode)]
-    if not modes:
-        return (), tuple(failed)
-    frequencies = np.array([mode.frequency_hz for mode in modes])
-    shapes = np.stack([mode.shape for mode in modes])
-    strength = np.array([mode.amplitude for mode in modes])
-    rejected = rejected_modes(frequencies, settings)
-    numbers, macs = (found := number_modes(frequencies, shapes, strength, settings)).numbers, found.macs
-    choice = choose_target_of(
-        rejected, frequencies, shapes, strength, numbers, settings, 1.0 / samples.step_s
-    )
-    if choice.index is None:
-        failed.append(
-            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
-        )
-    kept = []
-    for index, mode in enumerate(modes):
-        if rejected[index]:
-            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=mode.frequency_hz))
-            continue
-        kept.append(replace(mode, number=numbers[index], target=index == choice.index, mac=macs[index]))
-        if words := shape_disagreement(mode.shape, mode.shape_sd, numbers[index], settings):
-            flag = ModeFlag.SHAPE_DISAGREES
-            kept[-1] = replace(
-                kept[-1],
-                flags=(*mode.flags, flag.name),
-                notes=(*mode.notes, flag.value, words),
-                severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
-            )
-    return tuple(kept), tuple(failed)
+    return mode.with_flags([ModeFlag.RESIDUAL_AT_MODE]) if left > MUCH_LEFT else mode
 
 
 def participation(
