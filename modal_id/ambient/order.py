@@ -195,10 +195,15 @@ def _from_peak(fit: BandFit, hz: float, half_hz: float) -> BandModel:
     return model.with_mode(hz, zeta, _shape_at(fit.data, spectrum(model, fit.data), hz, zeta))
 
 
+def _power(data: BandData, hz: FloatArray | float, zeta: FloatArray | float) -> FloatArray:
+    """Squared receptance over that at rest, at the frequencies of a band."""
+    ratio = data.frequency_hz / hz
+    return np.asarray(1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta * ratio) ** 2))
+
+
 def _shape_at(data: BandData, matrix: ComplexArray, hz: float, zeta: float) -> FloatArray:
     """Main direction of what `matrix` leaves of the spectrum near a frequency, scaled to its power."""
-    ratio = data.frequency_hz / hz
-    weight = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta * ratio) ** 2)
+    weight = _power(data, hz, zeta)
     left = np.real(data.cross - data.bins[:, None, None] * matrix)
     values, vectors = np.linalg.eigh(np.tensordot(weight, left, 1) / float(data.bins @ weight**2))
     # Where nothing is left, a tenth of what is there: a mode of no amplitude has no slope.
@@ -229,8 +234,7 @@ def further_modes(
     hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
     half = np.minimum(half, (limits_hz[1] - limits_hz[0]) / TUNING.least_reach)
     zeta = half / hz
-    ratio = data.frequency_hz / hz[:, None]
-    response = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta[:, None] * ratio) ** 2)
+    response = _power(data, hz[:, None], zeta[:, None])
     values, vectors = np.linalg.eigh(np.tensordot(response, excess, 1))
     slope, shape = values[:, -1], vectors[:, :, -1]
     own = np.einsum("ti,gij,tj->tg", shape, np.real(inverse), shape, optimize=True)
@@ -262,9 +266,7 @@ def pair_instead(single: BandFit, limits_hz: tuple[float, float]) -> list[BandMo
         if limits_hz[0] < f < limits_hz[1]
         for width in (TUNING.pair_width, 1.0)
     ]
-    ratio = np.array([data.frequency_hz / f for f, _ in tried])
-    damping = np.array([[zeta] for _, zeta in tried])
-    response = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * damping * ratio) ** 2)
+    response = _power(data, *np.array(tried).T[:, :, None])
     seen = np.real(data.cross / data.bins[:, None, None])
     # The scatter of a mean of b periodograms is its size over sqrt(b).
     weight = np.sqrt(data.bins) / np.real(np.trace(seen, axis1=1, axis2=2))

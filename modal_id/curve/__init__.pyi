@@ -1,4 +1,5 @@
 from .average import amplitude_curve as amplitude_curve
+from .average import explains as explains
 from .law_fit import decay_of_law as decay_of_law
 from .law_fit import wave_of_law as wave_of_law
 from .laws import PowerLaw as PowerLaw

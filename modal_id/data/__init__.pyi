@@ -2,9 +2,6 @@ from .baseline import RELATIVE_BANDWIDTH as RELATIVE_BANDWIDTH
 from .baseline import bandwidth_hz as bandwidth_hz
 from .baseline import baseline_matrix as baseline_matrix
 from .baseline import baseline_splines as baseline_splines
-from .outliers import beyond_limit as beyond_limit
-from .outliers import limited as limited
-from .outliers import reject_outliers as reject_outliers
 from .prepare import MIN_SAMPLES as MIN_SAMPLES
 from .prepare import Prepared as Prepared
 from .prepare import Projection as Projection
@@ -20,7 +17,10 @@ from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
 from .repeats import sampled_rows as sampled_rows
 from .samples import FitData as FitData
+from .samples import beyond_limit as beyond_limit
 from .samples import detrended as detrended
+from .samples import limited as limited
 from .samples import neighbour_sums as neighbour_sums
+from .samples import reject_outliers as reject_outliers
 from .samples import rough_variance as rough_variance
 from .samples import runs as runs

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal_id.curve import amplitude_curve
+from modal_id.curve import amplitude_curve, explains
 from modal_id.data import MIN_SAMPLES, FitData, Prepared, Projection
 from modal_id.fit import (
     ModalFit,
@@ -56,8 +56,6 @@ class Tuning:
     most_left: float = 0.003
     #: [1] residual power of an amplitude curve over the noise up to which it explains that
     explained: float = 3.0
-    #: [1] the same, over the residual power that constant poles leave
-    mostly_explained: float = 0.01
     #: [cycles] shortest piece of a divided decay
     least_cycles: float = 6.0
     #: [samples] samples per cycle of the fastest mode in the search for the time of a change
@@ -377,9 +375,7 @@ def _is_one_curve(model: ModalFit) -> bool:
     curve = amplitude_curve(model, model.strongest)
     if curve is None or not curve.constant_residual_power > TUNING.explained:
         return False
-    return curve.residual_power < max(
-        TUNING.explained, TUNING.mostly_explained * curve.constant_residual_power
-    )
+    return explains(curve, TUNING.explained)
 
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:

@@ -15,15 +15,14 @@ from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
-from modal_id.response.columns import Channel, Samples
-from modal_id.response.input_checks import sparse_outputs, unusable
+from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
 from modal_id.response.known_input import criterion, fit_response, fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import TUNING as FRF
 from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
-from modal_id.solve import damping_ratio, frequency_hz
+from modal_id.solve import damping_ratio, frequency_hz, modal_slopes
 from tracker import DisplacementSeries, Failure, FloatArray, KnownInput
 
 
@@ -95,7 +94,7 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
 
 def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | str | None:
     """The fit, with the lag of the input as asked for; why there is none; None where no mode exceeds the noise."""
-    options = settings.max_modes, _lowest_hz(settings), known.sd
+    options = settings.max_modes, settings.lowest_hz, known.sd
     if settings.input_lag_ms == "auto":
         found = fit_with_lag(data, *options)
         if not isinstance(found, str):
@@ -115,11 +114,6 @@ def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> Res
     channel = Channel.through(data.time_s, data.input, data.given)
     late = replace(data, channel=channel).with_lag(lag_s)
     return fit_response(replace(late, channel=None), *options)
-
-
-def _lowest_hz(settings: IdentifySettings) -> float:
-    """Well below the lowest mode in theory, 0 where none is given."""
-    return 0.4 * min(settings.expected_frequencies_hz, default=0.0)
 
 
 def _samples(
@@ -208,7 +202,7 @@ def _assembled(
             *prepared.notes,
             note,
             *_notes(known, found),
-            *_unexplained(found, _lowest_hz(settings)),
+            *_unexplained(found, settings.lowest_hz),
         ),
         segments=(Segment("driven", start_s, end_s, note),),
         response=_response(series, prepared, known, found, settings),
@@ -227,12 +221,7 @@ def _mode(
     factor, left = left_at_mode(found, index)
     own = factor * found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
     hz, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    slopes = np.array(
-        [
-            [pole.real / abs(pole) / (2.0 * np.pi), pole.imag / abs(pole) / (2.0 * np.pi)],
-            [-(pole.imag**2) / abs(pole) ** 3, pole.real * pole.imag / abs(pole) ** 3],
-        ]
-    )
+    slopes = modal_slopes(pole)
     sd = np.sqrt(np.diag(slopes @ own @ slopes.T))
     if sd[1] > TUNING.most_relative_sd * zeta:
         reason = (

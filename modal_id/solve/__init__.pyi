@@ -12,6 +12,7 @@ from .poles import damping_ratio as damping_ratio
 from .poles import fit_poles as fit_poles
 from .poles import frequency_hz as frequency_hz
 from .poles import gauss_newton as gauss_newton
+from .poles import modal_slopes as modal_slopes
 from .poles import normal_equations as normal_equations
 from .poles import objective as objective
 from .poles import own_problem as own_problem

@@ -120,6 +120,13 @@ def damping_ratio(poles: ComplexArray | complex) -> FloatArray:
     return np.asarray(-values.real / np.abs(values))
 
 
+def modal_slopes(pole: complex) -> FloatArray:
+    """Derivatives of the frequency in Hz and the damping ratio with respect to (Re, Im) of a pole; shape (2, 2)."""
+    re, im, size = pole.real, pole.imag, abs(pole)
+    of_frequency = [re / size / (2.0 * np.pi), im / size / (2.0 * np.pi)]
+    return np.array([of_frequency, [-(im**2) / size**3, re * im / size**3]])
+
+
 def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
     """The problem with the motion of all other modes subtracted."""
     data = problem.data
