@@ -335,7 +335,7 @@ class Identification(Table):
         Of a record under ambient excitation: there is no decay then, `fitted` and `baseline` are NaN, and the amplitude
         of a mode is that of a sinusoid of the same power.
     checks : tuple of Check
-        Those of `modal_id.modes.residual_checks`, where they were made.
+        Those of `modal_id.modes.checks`, where they were made.
     response : FrequencyResponse or None
         To the measured input; None where the series has none.
     """

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandData, BandFit, BandModel, fit_band, log_likelihood, responses, spectrum
 from modal_id.ambient.spectrum import transfer
 from tracker import ComplexArray, FloatArray
@@ -50,8 +51,6 @@ class Tuning:
     #: [1] logarithm of the odds from which a mode is listed
     #: statistics: Odds of 0.9 against 0.1.
     least_log_odds: float = float(np.log(9.0))
-    #: [1] largest number of steps
-    steps: int = 40
     #: [1] largest number of halvings of a step
     halvings: int = 10
     #: [1] gain in log likelihood that ends it
@@ -331,7 +330,7 @@ def _most_likely(data: BandData, factors: FloatArray, basis: FloatArray) -> floa
     best = _log_likelihood(matrix(values), data)
     seen = np.real(data.cross) / data.bins[:, None, None]
     root = np.sqrt(data.bins)[:, None]
-    for _ in range(TUNING.steps):
+    for _ in range(MODEL.steps):
         inverse = np.linalg.inv(np.linalg.cholesky(matrix(values)))
         white = inverse @ seen @ np.swapaxes(inverse, 1, 2)
         terms = inverse[:, None] @ basis @ np.swapaxes(inverse, 1, 2)[:, None]

@@ -81,6 +81,10 @@ class FitData:
         used[np.repeat(total @ used == 0.0, count)] = 1.0
         return self._of((total @ (used * self.time_s)) / (total @ used), values, weights)
 
+    def inside(self, start_s: float, end_s: float) -> BoolArray:
+        """Mask of the samples from `start_s` to `end_s`; shape (n,)."""
+        return np.asarray((self.time_s >= start_s - 1e-12) & (self.time_s <= end_s + 1e-12))
+
     def between(self, start_s: float, end_s: float) -> FitData:
         """Samples from `start_s` to `end_s`, with times counted from `start_s`."""
         return self._part(start_s, float(np.nextafter(end_s + 1e-12, np.inf)))

@@ -7,6 +7,10 @@ from .aliases import alias_frequencies as alias_frequencies
 from .aliases import apparent_hz as apparent_hz
 from .aliases import lines_of as lines_of
 from .aliases import resolve_aliases as resolve_aliases
+from .checks import line_effect as line_effect
+from .checks import readout_note as readout_note
+from .checks import residual_checks as residual_checks
+from .checks import row_delay as row_delay
 from .combine import Combined as Combined
 from .combine import between_interval as between_interval
 from .combine import combine as combine
@@ -41,10 +45,6 @@ from .numbering import number_modes as number_modes
 from .numbering import numbered as numbered
 from .numbering import rejected_modes as rejected_modes
 from .numbering import shape_disagreement as shape_disagreement
-from .residual_checks import line_effect as line_effect
-from .residual_checks import residual_checks as residual_checks
-from .row_delay import readout_note as readout_note
-from .row_delay import row_delay as row_delay
 from .shapes import Curvature as Curvature
 from .shapes import Node as Node
 from .shapes import amplitude_sd as amplitude_sd

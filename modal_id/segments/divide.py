@@ -226,7 +226,7 @@ class _Division:
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
         for burst in (e for e in events if e.kind == "burst"):
-            self.disturbed |= _within(data.time_s, burst)
+            self.disturbed |= data.inside(burst.start_s, burst.end_s)
             self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
         kept = [e for e in events if e.kind != "burst"]
         starts = [0.0, *(e.end_s for e in kept)]
@@ -415,10 +415,6 @@ class _Division:
             )
         segments = tuple(sorted(self.segments, key=lambda s: (s.start_s, s.end_s)))
         return RecordParts(tuple(self.decays), segments, self.disturbed, none)
-
-
-def _within(time_s: FloatArray, event: Event) -> BoolArray:
-    return np.asarray((time_s >= event.start_s) & (time_s <= event.end_s))
 
 
 def _rises(piece: _Piece) -> bool:
