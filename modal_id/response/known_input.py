@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from modal_id.response.candidates import candidates, drives
 from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
+from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -47,9 +48,6 @@ class Tuning:
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
     #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
     rounds: int = 4
-    #: [1] smallest noise variance over the mean square of the output
-    #: physics: Data without noise, of rounding errors only.
-    least_noise: float = 1e-16
     #: [1] largest lag over the span of the record
     #: physics: Outputs at whose times the input is not known do not count.
     most_share: float = 0.1
@@ -172,7 +170,7 @@ class Weighted:
         self.residual = np.column_stack(
             [values[:, out] - q @ self._explained[out] for out, (q, _) in enumerate(self._factors)]
         )
-        floor = TUNING.least_noise * np.sum(values**2, axis=0) + 1e-300
+        floor = NOISE.least_noise * np.sum(values**2, axis=0) + 1e-300
         self.rss = np.maximum(np.sum(self.residual**2, axis=0), floor)
         #: Negative log likelihood.
         self.score = float(0.5 * values.shape[0] * np.sum(np.log(self.rss)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from modal_id.data import FitData, baseline_matrix, rough_variance
 from modal_id.fit import ModalFit
+from modal_id.segments.boundary import TUNING as BOUNDARY
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
 from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.partition import Change, find_changes
@@ -24,8 +25,6 @@ from tracker import FloatArray
 class Tuning:
     """Confirmation of events."""
 
-    #: [cycles] length of the motions fitted on either side of a change
-    side_cycles: float = 12.0
     #: [1] error of a motion over its amplitude
     #: convention: Damping that depends on the amplitude.
     relative_error: float = 0.01
@@ -129,7 +128,7 @@ def _event(
     low, high = max(change.low_s, begin_s), min(change.high_s, until_s)
     if not low < high:
         return None
-    reach_s = TUNING.side_cycles * cycle_s
+    reach_s = BOUNDARY.side_cycles * cycle_s
     spans = (max(begin_s, low - reach_s), low), (high, min(until_s, high + reach_s))
     before, after = (
         motion_beside(data, *span, cycle_s, lowest_hz, last=k == 0) for k, span in enumerate(spans)
