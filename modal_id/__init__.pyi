@@ -1,4 +1,3 @@
-from .check import Check as Check
 from .columns import AMPLITUDE as AMPLITUDE
 from .columns import DAMPING as DAMPING
 from .columns import FREQUENCY as FREQUENCY
@@ -12,15 +11,16 @@ from .flags import quoted_note as quoted_note
 from .identify import fit_free_decay as fit_free_decay
 from .identify import identify as identify
 from .identify import identify_free_decay as identify_free_decay
+from .mode_values import RESPONSE_COLUMNS as RESPONSE_COLUMNS
+from .mode_values import FrequencyResponse as FrequencyResponse
 from .record import FittingRate as FittingRate
 from .record import Onset as Onset
 from .record import Segment as Segment
-from .response_values import RESPONSE_COLUMNS as RESPONSE_COLUMNS
-from .response_values import FrequencyResponse as FrequencyResponse
 from .results import AmbientBand as AmbientBand
 from .results import AmbientRecord as AmbientRecord
 from .results import AmplitudeCurve as AmplitudeCurve
 from .results import AmplitudeDependence as AmplitudeDependence
+from .results import Check as Check
 from .results import DecayValue as DecayValue
 from .results import DisplacementSeries as DisplacementSeries
 from .results import DrivenMotion as DrivenMotion

@@ -19,6 +19,7 @@ from modal_id.modes import (
     choose_target_of,
     combination_tones,
     conversion,
+    missing_target,
     mode_flags,
     moving_channels,
     not_established,
@@ -70,8 +71,7 @@ def assemble(
     everything = _all_channels(prepared, fitted)
     complete, linear = everything.data, everything.linear
     k = len(series.channels)
-    shapes = np.full((poles.size, k), complex(np.nan, np.nan))
-    shapes[:, prepared.channels] = linear.amplitudes
+    shapes = prepared.in_series(linear.amplitudes, k)
     strength = _strength(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
     numbers = tuple(None if out else n for out, n in zip(rejected, numbering.numbers, strict=True))
@@ -107,10 +107,9 @@ def assemble(
         if clock is not None:
             flags.append(ModeFlag.RATE_CONVERTED)
             notes.append(clock.note(float(frequency_hz(poles)[index])))
-        shape_sd = np.full(k, np.nan)
         factor = _shape_noise(model, index, outcome, everything, fitted)
         noise_sd = amplitude_sd(complete, linear, index) * factor
-        shape_sd[prepared.channels] = np.hypot(noise_sd, repeating[index])
+        shape_sd = prepared.in_series(np.hypot(noise_sd, repeating[index]), k)
         if words := shape_disagreement(shapes[index], shape_sd, number, settings):
             flags.append(ModeFlag.SHAPE_DISAGREES)
             notes.append(words)
@@ -132,9 +131,7 @@ def assemble(
         )
     failed += [FailedMode(reason, frequency_hz=hz) for hz, reason in model.refused]
     if choice.index is None:
-        failed.append(
-            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
-        )
+        failed.append(missing_target(choice, settings))
     found = _of_record(series, prepared, fitted, everything)
     notes_of_fit = _notes_of_fit(series, prepared, fitted, everything, outliers)
     fitting = choice.fitting if choice.fitting is None or choice.fitting.otherwise is None else None
@@ -266,8 +263,6 @@ def _of_record(
     cells = np.ix_(fitted.rows, prepared.channels)
     channels_used = np.zeros(k, dtype=bool)
     channels_used[prepared.channels[everything.moving]] = True
-    residual_sd = np.full(k, np.nan)
-    residual_sd[prepared.channels] = np.sqrt(linear.noise_variance)
     return Identification(
         series=series,
         onset=fitted.onset,
@@ -276,7 +271,7 @@ def _of_record(
         fitted=_in_series(series, cells, motion),
         baseline=_in_series(series, cells, linear.baseline),
         used=(_in_series(series, cells, complete.weights) > 0.0) & channels_used,
-        residual_sd=residual_sd,
+        residual_sd=prepared.in_series(np.sqrt(linear.noise_variance), k),
         channels_used=channels_used,
         notes=(*series.notes, *prepared.notes),
     )

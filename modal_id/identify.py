@@ -111,8 +111,8 @@ def identify(
         rows, distance = sampled
         return in_all_rows(identify(of_rows(series, rows), settings), series, rows, distance)
     samples = _samples(series, settings)
-    if isinstance(samples, str):
-        return Failure(samples, series.name)
+    if isinstance(samples, Failure):
+        return samples
     used, usable_from_s = samples
     if settings.excitation == "ambient":
         return identify_ambient(series, used, settings)
@@ -130,8 +130,8 @@ def identify_free_decay(
     """
     settings = IdentifySettings() if settings is None else settings
     samples = _samples(series, settings)
-    if isinstance(samples, str):
-        return Failure(samples, series.name)
+    if isinstance(samples, Failure):
+        return samples
     used, _ = samples
     return _identified(series, used, _one_decay(series, used), settings, whole=True)
 
@@ -142,8 +142,8 @@ def fit_free_decay(series: DisplacementSeries, max_modes: int) -> tuple[FittedMo
     The errors of a simulation are no noise: its modes have no posterior, which takes most of the time otherwise.
     """
     samples = _samples(series, IdentifySettings())
-    if isinstance(samples, str):
-        return Failure(samples, series.name)
+    if isinstance(samples, Failure):
+        return samples
     used, _ = samples
     fits = fit_decays(series, used, _one_decay(series, used), max_modes, 0.0, whole=True)
     if not fits.decays:
@@ -178,7 +178,7 @@ def _one_decay(series: DisplacementSeries, used: Prepared) -> RecordParts:
     return parts.shifted(float(series.time_s[used.first_row]))
 
 
-def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Prepared, float] | str:
+def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Prepared, float] | Failure:
     """Samples to identify from, reduced to components where there are many channels, or why there are none.
 
     With the time from which the series is usable.
@@ -190,7 +190,7 @@ def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Pr
     prepared = prepare(series)
     used = prepared if isinstance(prepared, str) else _of_interval(series, prepared, settings)
     if isinstance(prepared, str) or isinstance(used, str):
-        return str(used)
+        return Failure(str(used), series.name)
     return project(used, settings.components), float(series.time_s[prepared.first_row])
 
 
@@ -198,7 +198,7 @@ def _identified(
     series: DisplacementSeries, used: Prepared, parts: RecordParts, settings: IdentifySettings, *, whole: bool
 ) -> Identification | Failure:
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
-    lowest_hz, named_hz = _lowest_hz(settings), settings.add_hz
+    lowest_hz, named_hz = settings.lowest_hz, settings.add_hz
     fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
@@ -288,12 +288,6 @@ def _driven(
     return replace(found, segments=steady)
 
 
-def _lowest_hz(settings: IdentifySettings) -> float:
-    # Not from the target frequency: a stronger mode below it must be fitted, or it remains in the residual.
-    expected = settings.expected_frequencies_hz
-    return 0.4 * expected[0] if expected else 0.0
-
-
 def _target_hz(settings: IdentifySettings) -> float | None:
     expected, number = settings.expected_frequencies_hz, settings.mode
     if number is not None and number <= len(expected):
@@ -328,7 +322,7 @@ def _parts(
     parts = divide(
         data,
         rough_variance(data),
-        _lowest_hz(settings),
+        settings.lowest_hz,
         _target_hz(settings),
         base,
         begins_free=None if settings.onset_s is None else user_onset(0.0),

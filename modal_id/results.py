@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
 
-from modal_id.check import Check
 from modal_id.columns import FLAGS, IDENTITY, OF_MODE, OF_RECORD
 from modal_id.flags import ModeFlag
 
@@ -17,11 +17,10 @@ from modal_id.flags import ModeFlag
 from modal_id.mode_values import AmplitudeCurve as AmplitudeCurve  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import AmplitudeDependence as AmplitudeDependence  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
-from modal_id.mode_values import Table, axes_or_new
 from modal_id.record import FittingRate, Onset, Segment
-from modal_id.response_values import FrequencyResponse
 from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, table_row
 
 # The series is part of an identification; packages that use results import it from here.
@@ -30,6 +29,31 @@ from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+# p-value below which a check of the residual fails.
+ALARM = 0.01
+
+
+@dataclass(frozen=True)
+class Check:
+    """One statistic of the residual, with the likely cause of a small p-value and what to do, a sentence each.
+
+    ``typical`` is the median of the replicates; ``p_value`` is the share of values at least as large, among the
+    replicates and the record itself. ``frequency_hz`` is that of the line which the statistic measures, else NaN.
+    """
+
+    name: str
+    value: float
+    typical: float
+    p_value: float
+    cause: str
+    remedy: str
+    frequency_hz: float = float("nan")
+
+    @property
+    def holds(self) -> bool:
+        """Whether the record is not among the most extreme 1 %."""
+        return self.p_value > ALARM
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -92,6 +116,16 @@ class IdentifiedMode(Table):
         """What a flag of this mode means for its values; the usual severity where its effect was not computed."""
         found = dict(self.severities).get(flag)
         return ModeFlag[flag].usual_severity if found is None else Severity[found]
+
+    def with_flags(self, flags: Sequence[ModeFlag], *words: str) -> IdentifiedMode:
+        """The mode with further flags of their usual severity, and notes after those that explain the flags."""
+        texts, others = self.notes[: len(self.flags)], self.notes[len(self.flags) :]
+        return replace(
+            self,
+            flags=(*self.flags, *(flag.name for flag in flags)),
+            notes=(*texts, *(flag.value for flag in flags), *others, *words),
+            severities=(*self.severities, *((flag.name, flag.usual_severity.name) for flag in flags)),
+        )
 
     @property
     def wrong_flags(self) -> tuple[str, ...]:
@@ -301,7 +335,7 @@ class Identification(Table):
         Of a record under ambient excitation: there is no decay then, `fitted` and `baseline` are NaN, and the amplitude
         of a mode is that of a sinusoid of the same power.
     checks : tuple of Check
-        Those of `modal_id.modes.residual_checks`, where they were made.
+        Those of `modal_id.modes.checks`, where they were made.
     response : FrequencyResponse or None
         To the measured input; None where the series has none.
     """

@@ -139,6 +139,14 @@ class IdentifySettings(IdentifyOptions, Settings):
     )
     sampler: SamplerSettings = Field(default=SamplerSettings(), description="Effort of the sampler.")
 
+    @property
+    def lowest_hz(self) -> float:
+        """Frequency above which modes are looked for, well below the lowest in theory; 0 where none is given.
+
+        Not from the target frequency: a stronger mode below it must be fitted, or it remains in the residual.
+        """
+        return 0.4 * min(self.expected_frequencies_hz, default=0.0)
+
     @model_validator(mode="after")
     def _one_shape_per_frequency(self) -> Any:
         shapes, count = self.expected_shapes, len(self.expected_frequencies_hz)

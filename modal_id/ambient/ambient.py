@@ -8,31 +8,53 @@ import numpy as np
 
 from modal_id.ambient.bands import TUNING as BANDS
 from modal_id.ambient.bands import Band, Peak, band_data, bands_of, find_peaks_of, singular_values
-from modal_id.ambient.expected import variance
-from modal_id.ambient.law import law_note
 from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandFit, spectrum
 from modal_id.ambient.order import TUNING as ORDER
-from modal_id.ambient.order import Order, choose_order, shares
-from modal_id.ambient.spectrum import Spectrum, spectrum_of
-from modal_id.ambient.stationarity import not_stationary
-from modal_id.ambient.tails import log_odds_over_tails
+from modal_id.ambient.order import Order, choose_order, log_odds_over_tails, shares
+from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
 from modal_id.fit import nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
-from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.modes import numbered
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
-from modal_id.results import (
-    AmbientBand,
-    AmbientRecord,
-    FailedMode,
-    Identification,
-    IdentifiedMode,
-    Posterior,
-)
+from modal_id.results import AmbientBand, AmbientRecord, FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
+
+# [1] relative sds of the damping ratio that the report names
+_AIMS = (0.3, 0.1, 0.05)
+
+
+def log_sds(frequency_hz: float, damping_ratio: float, span_s: float, reach: float) -> tuple[float, float]:
+    """Relative standard deviations of frequency and damping ratio for a strong mode and a band of f (1 +- reach zeta).
+
+    Notes
+    -----
+    Au (2014), Structural Safety 48, doi:10.1016/j.strusafe.2014.02.001, eq. 1-4: with N_c cycles,
+    ``(sd f / f)^2 = zeta / (2 pi N_c B_f)`` and ``(sd zeta / zeta)^2 = 1 / (2 pi zeta N_c B_z)``, where
+    ``B_f = (2 / pi) (atan k - k / (k^2 + 1))`` and
+    ``B_z = (2 / pi) (atan k + k / (k^2 + 1) - 2 atan(k)^2 / k)`` for a reach of k half-widths. They follow from the
+    information of the logarithm of the density, ``sum (d ln D / d theta)^2``, with the level of the force unknown.
+    """
+    angle, ratio = np.arctan(reach), reach / (reach**2 + 1.0)
+    cycles = frequency_hz * span_s
+    of_f = 2.0 / np.pi * (angle - ratio)
+    of_zeta = 2.0 / np.pi * (angle + ratio - 2.0 * angle**2 / reach)
+    f_sd = np.sqrt(damping_ratio / (2.0 * np.pi * cycles * of_f))
+    return float(f_sd), float(1.0 / np.sqrt(2.0 * np.pi * damping_ratio * cycles * of_zeta))
+
+
+def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: float) -> str:
+    """What the record gives, and how long a record would give more: the square of the sd falls with the length."""
+    aim = next((aim for aim in _AIMS if aim < 0.8 * log_sd), 0.5 * log_sd)
+    needed_s = span_s * (log_sd / aim) ** 2
+    return (
+        f"This record of {span_s / 60.0:.3g} min ({frequency_hz * span_s:.0f} cycles) gives the damping ratio, "
+        f"{100.0 * damping_ratio:.3g} %, to {100.0 * log_sd:.2g} % of its value; {needed_s / 60.0:.2g} min would give "
+        f"it to {100.0 * aim:.2g} %."
+    )
 
 
 @dataclass(frozen=True)
@@ -277,9 +299,8 @@ def _in_channels(one: _Found, prepared: Prepared, channels: int) -> _Found:
     if prepared.projection is not None:
         back = prepared.projection.to_channels
         shape, sd = back @ shape, np.sqrt((back**2) @ sd**2)
-    full, full_sd = np.full(channels, np.nan), np.full(channels, np.nan)
-    full[prepared.channels], full_sd[prepared.channels] = shape, sd
-    return replace(one, shape=full, shape_sd=full_sd)
+    shape, sd = prepared.in_series(shape, channels), prepared.in_series(sd, channels)
+    return replace(one, shape=shape, shape_sd=sd)
 
 
 def _sorted_out(found: Spectrum, modes: list[_Found]) -> tuple[list[_Found], list[FailedMode]]:
@@ -324,21 +345,11 @@ def _assembled(
     failed: list[FailedMode],
 ) -> Identification:
     frequencies = np.array([one.frequency_hz for one in listed])
-    rejected = rejected_modes(frequencies, settings)
-    shapes = np.stack([one.shape for one in listed]).astype(complex)
-    strength = np.nanmax(np.abs(shapes), axis=1)
-    numbering = number_modes(frequencies, shapes, strength, settings)
-    rate_hz = 2.0 * nyquist_hz(prepared.data.time_s)
-    choice = choose_target_of(rejected, frequencies, shapes, strength, numbering.numbers, settings, rate_hz)
     diagram = stability_diagram(
         prepared.data, np.zeros(prepared.data.values.shape), float(np.max(frequencies))
     )
     modes = []
     for index, one in enumerate(listed):
-        number = None if rejected[index] else numbering.numbers[index]
-        if rejected[index]:
-            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=one.frequency_hz))
-            continue
         flags = []
         if np.sum(np.abs(np.log(frequencies / one.frequency_hz)) < TUNING.close) > 1:
             flags.append(ModeFlag.CLOSE_MODE)
@@ -346,32 +357,19 @@ def _assembled(
             flags.append(ModeFlag.UNRESOLVED)
         if diagram is not None and not diagram.confirms(one.frequency_hz):
             flags.append(ModeFlag.NOT_CONFIRMED)
-        notes = [
-            law_note(found.span_s, one.frequency_hz, one.damping_ratio, float(np.sqrt(one.covariance[1, 1])))
-        ]
-        if words := shape_disagreement(shapes[index], one.shape_sd, number, settings):
-            flags.append(ModeFlag.SHAPE_DISAGREES)
-            notes.append(words)
-        modes.append(
-            IdentifiedMode(
-                shape=shapes[index],
-                shape_sd=one.shape_sd,
-                amplitude=float(strength[index]),
-                amplitude_unit=series.unit,
-                posterior=_posterior(one, index, settings),
-                number=number,
-                target=index == choice.index,
-                mac=numbering.macs[index],
-                flags=tuple(flag.name for flag in flags),
-                notes=(*(flag.value for flag in flags), *notes),
-                severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
-            )
+        note = law_note(
+            found.span_s, one.frequency_hz, one.damping_ratio, float(np.sqrt(one.covariance[1, 1]))
         )
-    if choice.index is None:
-        failed.append(
-            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+        mode = IdentifiedMode(
+            shape=one.shape.astype(complex),
+            shape_sd=one.shape_sd,
+            amplitude=float(np.nanmax(np.abs(one.shape))),
+            amplitude_unit=series.unit,
+            posterior=_posterior(one, index, settings),
         )
-    return _of_record(series, prepared, found, tuple(modes), tuple(failed))
+        modes.append(mode.with_flags(flags, note))
+    kept, others = numbered(modes, settings, 2.0 * nyquist_hz(prepared.data.time_s))
+    return _of_record(series, prepared, found, kept, (*failed, *others))
 
 
 def _posterior(one: _Found, index: int, settings: IdentifySettings) -> Posterior:
@@ -408,8 +406,7 @@ def _of_record(
     start_s = float(series.time_s[prepared.first_row])
     end_s = start_s + float(prepared.data.time_s[-1])
     inside = (series.time_s >= start_s) & (series.time_s <= end_s)
-    used, channels_used = np.zeros((n, k), dtype=bool), np.zeros(k, dtype=bool)
-    channels_used[prepared.channels] = True
+    used, channels_used = np.zeros((n, k), dtype=bool), np.isin(np.arange(k), prepared.channels)
     used[inside] = np.isfinite(series.values[inside]) & channels_used
     residual_sd = np.full(k, np.nan)
     if prepared.projection is None:

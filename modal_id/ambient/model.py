@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.ambient.expected import transfer
+from modal_id.ambient.spectrum import transfer
 from tracker import ComplexArray, FloatArray
 
 

@@ -1,4 +1,4 @@
-"""Number of modes in a band: modes are added while the evidence for one more is good."""
+"""Number of modes in a band, by the evidence for one more, and by what the tails of modes beside it explain."""
 
 from __future__ import annotations
 
@@ -8,21 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
-from modal_id.ambient.model import (
-    BandData,
-    BandFit,
-    BandModel,
-    fit_band,
-    log_likelihood,
-    responses,
-    spectrum,
-)
+from modal_id.ambient.model import TUNING as MODEL
+from modal_id.ambient.model import BandData, BandFit, BandModel, fit_band, log_likelihood, responses, spectrum
+from modal_id.ambient.spectrum import transfer
 from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Evidence of a mode."""
+    """Evidence of a mode, and iteration of the tails."""
 
     #: [modes] most modes in a band
     most_modes: int = 4
@@ -57,6 +51,11 @@ class Tuning:
     #: [1] logarithm of the odds from which a mode is listed
     #: statistics: Odds of 0.9 against 0.1.
     least_log_odds: float = float(np.log(9.0))
+    #: [1] largest number of halvings of a step
+    halvings: int = 10
+    #: [1] gain in log likelihood that ends it
+    #: statistics: A tenth of the gain that moves a parameter by one sd.
+    converged: float = 0.05
 
 
 TUNING = Tuning()
@@ -195,10 +194,15 @@ def _from_peak(fit: BandFit, hz: float, half_hz: float) -> BandModel:
     return model.with_mode(hz, zeta, _shape_at(fit.data, spectrum(model, fit.data), hz, zeta))
 
 
+def _power(data: BandData, hz: FloatArray | float, zeta: FloatArray | float) -> FloatArray:
+    """Squared receptance over that at rest, at the frequencies of a band."""
+    ratio = data.frequency_hz / hz
+    return np.asarray(1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta * ratio) ** 2))
+
+
 def _shape_at(data: BandData, matrix: ComplexArray, hz: float, zeta: float) -> FloatArray:
     """Main direction of what `matrix` leaves of the spectrum near a frequency, scaled to its power."""
-    ratio = data.frequency_hz / hz
-    weight = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta * ratio) ** 2)
+    weight = _power(data, hz, zeta)
     left = np.real(data.cross - data.bins[:, None, None] * matrix)
     values, vectors = np.linalg.eigh(np.tensordot(weight, left, 1) / float(data.bins @ weight**2))
     # Where nothing is left, a tenth of what is there: a mode of no amplitude has no slope.
@@ -229,8 +233,7 @@ def further_modes(
     hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
     half = np.minimum(half, (limits_hz[1] - limits_hz[0]) / TUNING.least_reach)
     zeta = half / hz
-    ratio = data.frequency_hz / hz[:, None]
-    response = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * zeta[:, None] * ratio) ** 2)
+    response = _power(data, hz[:, None], zeta[:, None])
     values, vectors = np.linalg.eigh(np.tensordot(response, excess, 1))
     slope, shape = values[:, -1], vectors[:, :, -1]
     own = np.einsum("ti,gij,tj->tg", shape, np.real(inverse), shape, optimize=True)
@@ -262,9 +265,7 @@ def pair_instead(single: BandFit, limits_hz: tuple[float, float]) -> list[BandMo
         if limits_hz[0] < f < limits_hz[1]
         for width in (TUNING.pair_width, 1.0)
     ]
-    ratio = np.array([data.frequency_hz / f for f, _ in tried])
-    damping = np.array([[zeta] for _, zeta in tried])
-    response = 1.0 / ((1.0 - ratio**2) ** 2 + (2.0 * damping * ratio) ** 2)
+    response = _power(data, *np.array(tried).T[:, :, None])
     seen = np.real(data.cross / data.bins[:, None, None])
     # The scatter of a mean of b periodograms is its size over sqrt(b).
     weight = np.sqrt(data.bins) / np.real(np.trace(seen, axis1=1, axis2=2))
@@ -282,3 +283,78 @@ def pair_instead(single: BandFit, limits_hz: tuple[float, float]) -> list[BandMo
         if value > most:
             best, most = model, value
     return [] if best is None else [best]
+
+
+def log_odds_over_tails(fit: BandFit, beside: list[tuple[float, float]]) -> float:
+    """Logarithm of the odds of the modes of a band over the tails of modes beside it, by the Schwarz criterion of both.
+
+    Parameters
+    ----------
+    fit : BandFit
+    beside : list of (float, float)
+        Frequency in Hz and damping ratio of modes outside the band.
+
+    Notes
+    -----
+    Far from resonance a receptance h is real, and the spectrum of noise and of modes whose forces are coherent is
+    ``N + sum of h_i h_j S_ij`` with real symmetric matrices: two modes on both sides have a minimum between them, in a
+    direction that changes, which the power laws of a band's background do not follow. It is linear in the matrices,
+    whose likelihood is maximised by least squares that are weighted again in each step.
+    """
+    data, r = fit.data, fit.data.size
+    pairs = np.array(
+        [np.real(transfer(data.frequency_hz, *one, data.samples, data.step_s)) for one in beside]
+    )
+    rows, columns = np.triu_indices(len(beside))
+    factors = np.concatenate([np.ones((1, data.bins.size)), pairs[rows] * pairs[columns]])
+    factors /= np.linalg.norm(factors, axis=1)[:, None]
+    above, across = np.triu_indices(r)
+    basis = np.zeros((above.size, r, r))
+    basis[np.arange(above.size), above, across] = basis[np.arange(above.size), across, above] = 1.0
+    likelihood = _most_likely(data, factors, basis)
+    parameters = fit.model.vector.size - len(factors) * len(basis)
+    gain = _log_likelihood(spectrum(fit.model, data), data) - likelihood
+    return gain - 0.5 * parameters * float(np.log(np.sum(data.bins)))
+
+
+def _most_likely(data: BandData, factors: FloatArray, basis: FloatArray) -> float:
+    """Largest log likelihood of sums of factors, shape (c, g), times symmetric matrices, by Fisher scoring."""
+
+    def matrix(values: FloatArray) -> FloatArray:
+        matrices = np.tensordot(values.reshape(len(factors), -1), basis, 1)
+        return np.asarray(np.tensordot(factors.T, matrices, 1), dtype=np.float64)
+
+    mean = np.real(np.sum(data.cross, axis=0)) / np.sum(data.bins)
+    values = np.zeros(len(factors) * len(basis))
+    values[: len(basis)] = np.sum(mean * basis, axis=(1, 2)) / np.sum(basis, axis=(1, 2)) / factors[0, 0]
+    best = _log_likelihood(matrix(values), data)
+    seen = np.real(data.cross) / data.bins[:, None, None]
+    root = np.sqrt(data.bins)[:, None]
+    for _ in range(MODEL.steps):
+        inverse = np.linalg.inv(np.linalg.cholesky(matrix(values)))
+        white = inverse @ seen @ np.swapaxes(inverse, 1, 2)
+        terms = inverse[:, None] @ basis @ np.swapaxes(inverse, 1, 2)[:, None]
+        terms = terms.reshape(*terms.shape[:2], -1) * root[:, :, None]
+        design = np.moveaxis(factors.T[:, :, None, None] * terms[:, None], 3, 1)
+        design = design.reshape(design.shape[0] * design.shape[1], -1)
+        scale = np.linalg.norm(design, axis=0)
+        change = np.linalg.lstsq(design / scale, (white.reshape(len(white), -1) * root).ravel(), rcond=1e-10)
+        step, before = change[0] / scale - values, best
+        for halving in range(TUNING.halvings):
+            trial = values + 0.5**halving * step
+            reached = _log_likelihood(matrix(trial), data)
+            if reached > best:
+                best, values = reached, trial
+                break
+        if best - before < TUNING.converged:
+            break
+    return best
+
+
+def _log_likelihood(matrix: FloatArray | ComplexArray, data: BandData) -> float:
+    """Of the band, without priors and constants; minus infinity where a matrix is not positive."""
+    values = np.linalg.eigvalsh(matrix)
+    if not np.all(values > 0.0):
+        return -np.inf
+    fit = np.real(np.trace(np.linalg.solve(matrix, data.cross), axis1=1, axis2=2))
+    return float(-np.sum(data.bins * np.sum(np.log(values), axis=1) + fit))

@@ -1,4 +1,4 @@
-"""Periodogram of even samples, missing ones filled, drift removed, channels scaled to equal noise."""
+"""Spectrum of stationary motion: periodogram of a record, its expectation for one mode, whether it is stationary."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.linalg import solve_toeplitz, solveh_banded
+from scipy.special import fdtrc, gammainccinv
 
 from modal_id.data import FitData, baseline_splines
 from tracker import BoolArray, ComplexArray, Failure, FloatArray
@@ -15,7 +16,7 @@ from tracker import BoolArray, ComplexArray, Failure, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """What counts as even, and what is filled."""
+    """What counts as even, what is filled, and the power of blocks."""
 
     #: [steps] largest distance of a time from an even grid
     #: physics: A twentieth of a step is a phase error of 0.08 rad at a quarter of the sampling rate: 0.6 % of the power
@@ -37,9 +38,71 @@ class Tuning:
     line_bins: float = 3.5
     #: [1] number of bands, equal in log frequency, in which the noise of a channel is measured
     noise_bands: int = 16
+    #: [1] probability that a stationary record exceeds the limit
+    false_alarm: float = 1e-4
+    #: [1] independent values of the power in a block, at least
+    #: statistics: The largest of 50 blocks is then below six times the mean.
+    least_values: float = 4.0
+    #: [blocks] most blocks
+    most_blocks: int = 50
+    #: [blocks] fewest blocks
+    least_blocks: int = 6
+    #: [half-widths] of the band
+    reach: float = 6.0
+    #: [1] share of the power in blocks above the limit from which the record is refused
+    #: convention: Below it, the stationary part determines the spectrum.
+    share: float = 0.3
 
 
 TUNING = Tuning()
+
+
+def transfer(
+    frequency_hz: FloatArray, natural_hz: float, zeta: float, samples: int, step_s: float
+) -> ComplexArray:
+    """Receptance of a mode, 1 at rest, with the modulus that leakage and aliasing leave; shape of `frequency_hz`.
+
+    Parameters
+    ----------
+    frequency_hz : array, shape (g,)
+        Frequencies of the periodogram, 0 to half the sampling rate.
+    natural_hz, zeta : float
+        Undamped natural frequency and damping ratio, 0 < zeta < 1.
+    samples, step_s : int, float
+        Length of the record and its time step.
+
+    Notes
+    -----
+    The squared modulus is the expected periodogram of the displacement of
+    ``x'' + 2 zeta w x' + w^2 x = w^2 p``, p white with one-sided spectral density 1: the transform of its
+    autocovariance under the triangular window of a record without taper,
+    ``2 dt [R(0) + 2 sum_m (1 - m / n) R(m dt) cos(2 pi f m dt)]``, summed in closed form, as
+    ``R(t) = (pi f / 4 zeta) Re[(1 - i zeta / sqrt(1 - zeta^2)) exp(lambda |t|)]``. With the receptance itself,
+    ``1 / ((1 - b^2)^2 + (2 zeta b)^2)``, zeta would be too large by 1 / (w T): leakage widens a peak of the half-width
+    zeta w to zeta w + 1 / T. The idea is that of the debiased Whittle likelihood: Sykulski et al. (2019),
+    doi:10.1093/biomet/asy071. The phase is that of the receptance.
+    """
+    omega = 2.0 * np.pi * natural_hz
+    root = np.sqrt(1.0 - zeta**2)
+    factor = complex(1.0, -zeta / root)
+    pole = omega * complex(-zeta, root)
+    turn = 2.0 * np.pi * frequency_hz * step_s
+    total = np.ones(frequency_hz.size)
+    for sign in (-1.0, 1.0):
+        log_q = pole * step_s + sign * 1j * turn
+        # 1 - q without cancellation where the step is short
+        rest = -np.expm1(log_q)
+        q = np.exp(log_q)
+        total += np.real(factor * (q / rest + q * np.expm1(samples * log_q) / (samples * rest**2)))
+    power = (np.pi * natural_hz / (4.0 * zeta)) * 2.0 * step_s * np.maximum(total, 1e-300)
+    ratio = frequency_hz / natural_hz
+    angle = -np.arctan2(2.0 * zeta * ratio, 1.0 - ratio**2)
+    return np.asarray(np.sqrt(power) * np.exp(1j * angle))
+
+
+def variance(natural_hz: float, zeta: float) -> float:
+    """Variance of the motion for one-sided spectral density 1 of the force: ``pi f / (4 zeta)``."""
+    return np.pi * natural_hz / (4.0 * zeta)
 
 
 @dataclass(frozen=True)
@@ -198,4 +261,60 @@ def _noise_sd(transformed: ComplexArray) -> FloatArray:
     largest = float(np.max(power))
     return np.asarray(
         np.sqrt(np.maximum(np.min(levels, axis=0), max(1e-14 * largest, 1e-300))), dtype=np.float64
+    )
+
+
+_NEXT = "identify the decay with excitation = 'free', or cut it out with onset_s and end_s"
+
+
+def not_stationary(found: Spectrum, frequency_hz: float, damping_ratio: float) -> Failure | None:
+    """Why the record is not one of stationary motion; None where it may be.
+
+    The power of a mode in a block of T seconds under a white force has the gamma distribution with about
+    ``zeta w T`` independent values, relative to its mean. The mean is that of the record without the strongest blocks.
+    """
+    rate = 2.0 * np.pi * damping_ratio * frequency_hz
+    blocks = int(min(TUNING.most_blocks, found.span_s * rate / TUNING.least_values))
+    half = max(TUNING.reach * damping_ratio * frequency_hz, 4.0 / found.span_s)
+    inside = np.abs(found.frequency_hz - frequency_hz) < half
+    # Amplitude in the band, sampled evenly: the transform back of its frequencies alone.
+    band = found.values[inside]
+    length = max(band.shape[0], 4 * blocks)
+    power = np.sum(np.abs(np.fft.ifft(band, length, axis=0)) ** 2, axis=1)
+    if blocks < TUNING.least_blocks:
+        return _decays(power, 0.5 * found.span_s * rate, frequency_hz)
+    of_block = np.array([np.sum(one) for one in np.array_split(power, blocks)])
+    values = found.span_s * rate / blocks
+    usual = float(np.median(of_block))
+    limit = (
+        float(gammainccinv(values, TUNING.false_alarm / blocks))
+        / values
+        * usual
+        * (1.0 + 1.0 / (3.0 * values))
+    )
+    loud = of_block > limit
+    share = float(np.sum(of_block[loud]) / np.sum(of_block))
+    if share < TUNING.share:
+        return None
+    where_s = found.span_s * float(np.argmax(of_block)) / blocks
+    return Failure(
+        f"the motion at {frequency_hz:.4g} Hz is not stationary: {100.0 * share:.2g} % of its power lie in "
+        f"{100.0 * float(np.mean(loud)):.2g} % of the record, most of it from {where_s:.4g} s on, as after a stroke. "
+        "An ambient record holds motion under a steady random force",
+        next_step=_NEXT,
+    )
+
+
+def _decays(power: FloatArray, values: float, frequency_hz: float) -> Failure | None:
+    """Why a record of few blocks is not stationary: the powers of its halves, of `values` independent ones, differ.
+
+    Their ratio has the F distribution with twice as many degrees of freedom.
+    """
+    first, second = (float(np.sum(one)) for one in np.array_split(power, 2))
+    if fdtrc(2.0 * values, 2.0 * values, first / second) > TUNING.false_alarm:
+        return None
+    return Failure(
+        f"the motion at {frequency_hz:.4g} Hz decays: the first half of the record has {first / second:.3g} times the "
+        "power of the second. An ambient record holds motion under a steady random force",
+        next_step=_NEXT,
     )

@@ -31,15 +31,23 @@ class Tuning:
     adequate: float = 1.5
     #: [1] residual power over the noise from which a law is inadequate
     inadequate: float = 2.5
+    #: [1] residual power over that of constant values below which a law explains their misfit in any case
+    mostly_explained: float = 0.01
 
 
 TUNING = Tuning()
+_ADEQUATE = TUNING.adequate
 
 # The same for splines and for stiffness alone, which are averaged over these scales.
 _DECAY_SCALES = (0.1, 0.4, DECAY_CHANGE)
 _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Starting values of the powers of a saturating law.
 _POWERS = (2.0, 4.0)
+
+
+def explains(curve: AmplitudeCurve, limit: float = _ADEQUATE) -> bool:
+    """Whether a curve leaves less than `limit` times the noise at the mode, or a small part of what constants leave."""
+    return curve.residual_power < max(limit, TUNING.mostly_explained * curve.constant_residual_power)
 
 
 def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> AmplitudeCurve | None:

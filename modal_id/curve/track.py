@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.curve.law_fit import LawFit, fit_law
+from modal_id.curve.law_fit import LawFit, fit_law, wave_of_law
 from modal_id.curve.laws import Law, SplineLaw
-from modal_id.curve.quadrature import wave_of_law
 from modal_id.data import FitData
 from modal_id.fit import ModalFit
 from modal_id.solve import Problem, frequency_hz, own_problem

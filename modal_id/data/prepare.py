@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +215,13 @@ class Prepared:
     repeated: BoolArray
     stated_sd: FloatArray
     projection: Projection | None = None
+
+    def in_series(self, values: NDArray[Any], count: int) -> NDArray[Any]:
+        """Values of the usable channels, in the last axis, as those of all `count` channels, NaN in the others."""
+        nan = complex(np.nan, np.nan) if np.iscomplexobj(values) else np.nan
+        found = np.full((*values.shape[:-1], count), nan)
+        found[..., self.channels] = values
+        return found
 
 
 def prepare(series: DisplacementSeries) -> Prepared | str:

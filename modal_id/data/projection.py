@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammainc, gammaincinv
 
-from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.prepare import Prepared, Projection
-from modal_id.data.samples import FitData
+from modal_id.data.samples import FitData, limited, reject_outliers
 from tracker import FloatArray
 
 # Fewer channels are fitted directly.

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines, rough_variance
-from modal_id.fit.candidates import Candidate
-from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
+from modal_id.fit.spectrum import Candidate, nyquist_hz, power_spectrum, residual_spectrum
 from modal_id.solve import (
     LinearSolution,
     ModeColumns,

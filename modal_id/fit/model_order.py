@@ -10,18 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from modal_id.data import RELATIVE_BANDWIDTH, FitData, bandwidth_hz, baseline_splines, rough_variance
-from modal_id.fit.candidates import Band, Candidate, candidates
-from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
+from modal_id.data import (
+    RELATIVE_BANDWIDTH,
+    FitData,
+    bandwidth_hz,
+    baseline_splines,
+    limited,
+    reject_outliers,
+    rough_variance,
+)
+from modal_id.fit.amplitude_dependence import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
-from modal_id.fit.outlier_search import without_outliers
-from modal_id.fit.spectrum import ResidualSpectrum, nyquist_hz, residual_spectrum
+from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz, residual_spectrum
 from modal_id.solve import (
+    LinearSolution,
+    ModeColumns,
     PoleFit,
     Problem,
     damping_ratio,
     fit_poles,
     frequency_hz,
+    motion,
     no_columns,
     rough_poles,
     solve_linear,
@@ -31,8 +40,16 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Which lines become modes, and what is slow motion."""
+    """Which lines become modes, what is slow motion, and lines removed before outliers are looked for."""
 
+    #: [1] largest number of lines removed
+    most_lines: int = 4
+    #: [1] half-width of the band about a removed line, over its frequency, in which no other is looked for
+    half_width: float = 0.01
+    #: [1] reach of the fit of a line, over its frequency
+    reach: float = 0.05
+    #: [1] largest damping ratio of such a line
+    max_damping: float = 0.5
     #: [1] share of the noise level at a mode that slow motion may contribute
     leak: float = 0.02
     #: [cycles] number of cycles below which a motion may be a swing on soft supports or by hand
@@ -68,6 +85,38 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+
+def without_outliers(
+    data: FitData, original_weights: FloatArray, linear: LinearSolution, lowest_hz: float, own: list[Band]
+) -> FitData:
+    """The data without outliers; `original_weights` are those before any rejection, `own` the bands of the modes.
+
+    Many large residuals in the beginning are not rejected, since they may be a mode that the model lacks. A knock there
+    hides such a mode, because it raises the spectrum at all frequencies. Therefore the strongest lines of the clipped
+    residual are removed one by one, until some of what remains is rejected.
+    """
+    residual = linear.residual
+    cleaned = reject_outliers(data, original_weights, residual)
+    excluded = list(own)
+    for _ in range(TUNING.most_lines):
+        within = limited(original_weights, residual)
+        if np.array_equal(within, residual) or not np.array_equal(cleaned.weights, data.weights):
+            break
+        found = candidates(data, within, linear.noise_variance, lowest_hz, tuple(excluded))
+        if not found:
+            break
+        line = found[0]
+        excluded.append(Band(line.frequency_hz, TUNING.half_width * line.frequency_hz))
+        problem = Problem(replace(data, values=within), np.ones((data.time_s.size, 1)))
+        pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
+        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < TUNING.reach
+        if not near or not 0.0 < float(damping_ratio(pole)[0]) < TUNING.max_damping:
+            continue
+        amplitudes = solve_linear(problem, ModeColumns(data.time_s, pole)).amplitudes
+        residual = residual - motion(data.time_s, pole, amplitudes)
+        cleaned = reject_outliers(data, original_weights, residual)
+    return cleaned
 
 
 def wider_baseline(

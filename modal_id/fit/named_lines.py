@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
-from modal_id.fit.candidates import Band, highest_near
 from modal_id.fit.model_order import (
     BASELINE_GUARD,
     OWN_BAND,
@@ -22,7 +21,7 @@ from modal_id.fit.model_order import (
     start_pole,
     with_line,
 )
-from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
+from modal_id.fit.spectrum import LEVEL_BINS, Band, highest_near, nyquist_hz
 from modal_id.solve import (
     ModeColumns,
     PoleFit,

@@ -1,4 +1,4 @@
-"""Several decays in one record: which is the most informative, and the values of all of them combined."""
+"""Several decays in one record: which are held by a hand, which is the most informative, the values of all combined."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from numpy.typing import NDArray
 from modal_id.data import FitData
 from modal_id.fit import ModalFit
 from modal_id.modes.combine import Combined, combine
-from modal_id.modes.roles import held_decays
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
+from modal_id.segments import BETWEEN_SD, held_density
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """The decay that gives a mode."""
+    """A decay that is held, and the decay that gives a mode."""
 
+    #: [1] probability, before it is seen, that a decay after another is held
+    held: float = 0.1
+    #: [1] relative distance of frequencies within which two decays show the same motion
+    #: convention: A hand shifts the frequency, too.
+    same_motion: float = 0.05
+    #: [1] ratio of amplitudes from which a later decay has the larger one
+    #: convention: That of a start located half a cycle early differs by less.
+    louder: float = 1.25
     #: [1] relative distance of frequencies of two decays within which modes are the same
     same: float = 0.02
     #: [sd] rate over zero below which a decay is chosen only where there is no other
@@ -36,6 +44,50 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+
+def held_odds(free: DecayValue, other: DecayValue) -> float:
+    """Odds that a decay is held, where `free` is an earlier one of the same motion.
+
+    Parameters
+    ----------
+    free, other : DecayValue
+        Values of one mode in both decays.
+
+    Returns
+    -------
+    float
+        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
+        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
+
+    Notes
+    -----
+    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
+    that settle; if one is held, it has `held_density`.
+    """
+    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
+        return 0.0
+    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
+        return 0.0
+    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
+    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
+    sd = float(np.linalg.norm([*own, BETWEEN_SD]))
+    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+    more = held_density(free.damping_ratio, other.damping_ratio)
+    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
+    return float(odds) if np.isfinite(odds) else 0.0
+
+
+def held_decays(values: Sequence[DecayValue]) -> tuple[int, ...]:
+    """Indices of the decays that are more probably held than free; `values` are those of the strongest mode of each."""
+    found = []
+    for k, one in enumerate(values):
+        earlier = (
+            free for free in values if abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
+        )
+        if any(held_odds(free, one) > 1.0 for free in earlier):
+            found.append(k)
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal_id.curve import explains
 from modal_id.data import beyond_limit
 from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag
@@ -27,10 +28,6 @@ class Tuning:
     noticeable: float = 0.1
     #: [1] residual power over the noise from which the values may be wrong
     far_too_much_left: float = 10.0
-    #: [1] residual power of the amplitude curve over the noise below which no pair of modes is needed
-    explained: float = 1.5
-    #: [1] the same, over the residual power that constant values leave
-    mostly_explained: float = 0.01
     #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
     #: convention: A tenth.
     decade: float = 0.1
@@ -197,9 +194,7 @@ def _is_one_curve(mode: SampledMode) -> bool:
     curve = None if mode.dependence is None else mode.dependence.curve
     if curve is None or curve.amplitude[1] > TUNING.decade * curve.amplitude[-1]:
         return False
-    return curve.residual_power < max(
-        TUNING.explained, TUNING.mostly_explained * curve.constant_residual_power
-    )
+    return explains(curve)
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modal_id.flags import SHAPE_DISAGREES_NOTE
+from modal_id.flags import SHAPE_DISAGREES_NOTE, ModeFlag
 from modal_id.modes.aliases import apparent_hz
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
+from modal_id.results import FailedMode, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -251,6 +252,38 @@ def choose_target_of(
         frequencies_hz[kept], shapes[kept], strength[kept], tuple(numbers[k] for k in kept), settings, rate_hz
     )
     return choice if choice.index is None else replace(choice, index=int(kept[choice.index]))
+
+
+def numbered(
+    modes: list[IdentifiedMode], settings: IdentifySettings, rate_hz: float
+) -> tuple[tuple[IdentifiedMode, ...], list[FailedMode]]:
+    """Modes with their numbers in theory and the target marked; those that the user rejects, and a missing target."""
+    if not modes:
+        return (), []
+    frequencies_hz = np.array([mode.frequency_hz for mode in modes])
+    shapes = np.stack([mode.shape for mode in modes])
+    strength = np.array([mode.amplitude for mode in modes])
+    rejected = rejected_modes(frequencies_hz, settings)
+    found = number_modes(frequencies_hz, shapes, strength, settings)
+    choice = choose_target_of(rejected, frequencies_hz, shapes, strength, found.numbers, settings, rate_hz)
+    kept, failed = [], []
+    for index, mode in enumerate(modes):
+        number = found.numbers[index]
+        if rejected[index]:
+            reason = "it is no mode according to reject_hz"
+            failed.append(FailedMode(reason, frequency_hz=float(frequencies_hz[index])))
+            continue
+        one = replace(mode, number=number, target=index == choice.index, mac=found.macs[index])
+        words = shape_disagreement(mode.shape, mode.shape_sd, number, settings)
+        kept.append(one.with_flags([ModeFlag.SHAPE_DISAGREES], words) if words else one)
+    if choice.index is None:
+        failed.append(missing_target(choice, settings))
+    return tuple(kept), failed
+
+
+def missing_target(choice: TargetChoice, settings: IdentifySettings) -> FailedMode:
+    """The target that was not found."""
+    return FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
 
 
 def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:

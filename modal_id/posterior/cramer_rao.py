@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.data import bandwidth_hz, baseline_matrix
+from modal_id.solve import modal_slopes
+from modal_id.solve import pole as modal_pole
 from tracker import FloatArray
 
 
@@ -56,10 +58,7 @@ def modal_bound(
     unknowns projected out (Kay, Fundamentals of Statistical Signal Processing, 1993, 3.9). The phase is taken as
     common; over many cycles this changes nothing.
     """
-    pole = complex(
-        -2.0 * np.pi * frequency_hz * damping_ratio,
-        2.0 * np.pi * frequency_hz * np.sqrt(1.0 - damping_ratio**2),
-    )
+    pole = complex(modal_pole(2.0 * np.pi * frequency_hz, damping_ratio))
     wave = np.exp(pole * time_s + 1j * phase_rad)
     nuisance = [wave.real, wave.imag]
     if with_drift:
@@ -77,15 +76,9 @@ def modal_bound(
         left &= ~same
     if not np.linalg.det(information) > 0.0:
         return ModalBound(float("inf"), float("inf"))
-    omega = abs(pole)
-    # omega_n = |pole|, zeta = -Re pole / |pole|.
-    to_omega = np.array([pole.real, pole.imag]) / omega
-    to_zeta = np.array([-(pole.imag**2), pole.real * pole.imag]) / omega**3
-    covariance = np.linalg.inv(information)
-    return ModalBound(
-        float(np.sqrt(to_omega @ covariance @ to_omega)) / (2.0 * np.pi),
-        float(np.sqrt(to_zeta @ covariance @ to_zeta)),
-    )
+    slopes = modal_slopes(pole)
+    sd = np.sqrt(np.diag(slopes @ np.linalg.inv(information) @ slopes.T))
+    return ModalBound(float(sd[0]), float(sd[1]))
 
 
 def _projected(columns: FloatArray, precision: FloatArray) -> FloatArray:

@@ -6,15 +6,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import expit, fdtrc, ndtri
 
-from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
-from modal_id.posterior.density import REACH_SD, PoleDensity
-from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
-from modal_id.posterior.likelihood import reduce_mode
-from modal_id.posterior.noise import noise_level
+from modal_id.curve import amplitude_curve
+from modal_id.fit import AmplitudeFit, ModalFit, fit_amplitude_dependence, own_decay
+from modal_id.posterior.likelihood import REACH_SD, PoleDensity, reduce_mode
+from modal_id.posterior.noise import NoiseLevel, noise_level
 from modal_id.posterior.sampler import SamplingError, sample
-from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
+from modal_id.results import (
+    AmplitudeCurve,
+    AmplitudeDependence,
+    DrivenMotion,
+    FailedMode,
+    Identification,
+    IdentifiedMode,
+    Posterior,
+    SampledDraws,
+)
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import ComplexArray, FloatArray
@@ -22,8 +30,14 @@ from tracker import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """What the posterior includes."""
+    """Dependence of damping on the amplitude, and what the posterior includes."""
 
+    #: [1] probability that noise alone shows a dependence
+    #: statistics: One mode in a hundred.
+    false_alarm: float = 0.01
+    #: [sd] change over the record that errors which repeat with the motion do not explain
+    #: statistics: 0.3 % exceed it.
+    beyond: float = 3.0
     #: [1] correlation between poles of two modes above which the uncertainty of one is included in that of the other
     coupled: float = 0.02
     #: [1] prior sd of the slope zeta1 over zeta
@@ -34,6 +48,138 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+
+# Power that the fit leaves at a mode, relative to the noise beside it, above which the fit is not adequate.
+MUCH_LEFT = 4.0
+
+
+def find_dependence(
+    model: ModalFit,
+    own: ModalFit,
+    amplitude_fit: AmplitudeFit | None,
+    noise: NoiseLevel,
+    index: int,
+    repeating_sd: tuple[float, float] = (0.0, 0.0),
+) -> AmplitudeDependence | None:
+    """Linear form of all samples and curve of any form; None where the record determines neither.
+
+    Significant where the linear form improves the fit by more than chance does in 1 % of records with constant values,
+    or where the posterior probability of constant values is below 1 %. `own` is the fit that `amplitude_fit` extends,
+    as from `own_decay`. `repeating_sd` are the standard deviations of
+    frequency (Hz) and damping ratio for errors that repeat with the motion: the curve includes them, and a change of
+    less than three of them is not significant.
+    """
+    curve = amplitude_curve(model, index, own)
+    varies = False
+    if curve is not None:
+        curve = replace(
+            curve,
+            frequency_sd_hz=np.hypot(curve.frequency_sd_hz, repeating_sd[0]),
+            damping_ratio_sd=np.hypot(curve.damping_ratio_sd, repeating_sd[1]),
+        )
+        varies = _varies(curve, repeating_sd)
+    if amplitude_fit is not None:
+        return _linear(model, own, amplitude_fit, noise, index, curve, varies=varies)
+    if curve is None or not varies:
+        return None
+    zeta, zeta_sd = curve.damping_ratio[[0, -1]], curve.damping_ratio_sd[[0, -1]]
+    f, f_sd = curve.frequency_hz[[0, -1]], curve.frequency_sd_hz[[0, -1]]
+    return AmplitudeDependence(
+        zeta0=float(zeta[0]),
+        zeta0_sd=float(zeta_sd[0]),
+        zeta1=float(zeta[1] - zeta[0]),
+        zeta1_sd=float(np.hypot(*zeta_sd)),
+        f0_hz=float(f[0]),
+        f0_sd_hz=float(f_sd[0]),
+        f2_hz=float(f[1] - f[0]),
+        f2_sd_hz=float(np.hypot(*f_sd)),
+        significant=True,
+        curve=curve,
+    )
+
+
+def left_at_mode(dependence: AmplitudeDependence | None) -> float:
+    """Residual power at the mode relative to the noise, NaN without a curve.
+
+    That of the curve where the dependence is significant, else that of constant values.
+    """
+    if dependence is None or dependence.curve is None:
+        return float("nan")
+    curve = dependence.curve
+    return curve.residual_power if dependence.significant else curve.constant_residual_power
+
+
+def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:
+    changes = float(np.ptp(curve.frequency_hz)), float(np.ptp(curve.damping_ratio))
+    beyond = any(change > TUNING.beyond * sd for change, sd in zip(changes, repeating_sd, strict=True))
+    return curve.constant_probability < TUNING.false_alarm and beyond
+
+
+def _linear(
+    model: ModalFit,
+    own: ModalFit,
+    amplitude_fit: AmplitudeFit,
+    noise: NoiseLevel,
+    index: int,
+    curve: AmplitudeCurve | None,
+    *,
+    varies: bool,
+) -> AmplitudeDependence:
+    variance, own_variance = model.fit.linear.noise_variance, amplitude_fit.linear.noise_variance
+    # The noise factor is relative to the fit with constant poles; covariance and statistic to the amplitude fit.
+    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / variance
+    factor = noise.factor * float(np.sqrt(np.sum(weight * (variance / own_variance)) / np.sum(weight)))
+    p = [float(value) for value in amplitude_fit.parameters]
+    sd = [float(value) for value in np.sqrt(np.diag(amplitude_fit.covariance)) * factor]
+    omega = float(np.hypot(p[0], p[1]))
+    drop = float(np.sum((own.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
+    statistic = 0.5 * max(drop, 0.0) / factor**2
+    # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
+    lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
+    beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
+    improves = bool(fdtrc(2.0, noise.dof, statistic) < TUNING.false_alarm)
+    zeta0, zeta0_sd = p[0] / omega, float(np.hypot(sd[0] / omega, beyond[0]))
+    averaged = (float("nan"), float("nan"))
+    if curve is None and improves:
+        averaged = _over_forms(own, amplitude_fit, factor, (zeta0, zeta0_sd), lowest)
+    return AmplitudeDependence(
+        zeta0=zeta0,
+        zeta0_sd=zeta0_sd,
+        zeta1=p[2] / omega,
+        zeta1_sd=sd[2] / omega,
+        f0_hz=omega / (2.0 * np.pi),
+        f0_sd_hz=float(np.hypot(sd[1] / (2.0 * np.pi), beyond[1])),
+        f2_hz=p[3] / (2.0 * np.pi),
+        f2_sd_hz=sd[3] / (2.0 * np.pi),
+        significant=improves or varies,
+        curve=curve,
+        averaged=averaged,
+    )
+
+
+def _over_forms(
+    own: ModalFit, linear: AmplitudeFit, factor: float, zeta0: tuple[float, float], lowest: float
+) -> tuple[float, float]:
+    """Damping ratio at zero amplitude and its sd over forms linear in a and in a^2; NaN where the latter has no fit.
+
+    `zeta0` are those of the linear form, `factor` is the noise factor, `lowest` the lowest amplitude of the record.
+    """
+    square = fit_amplitude_dependence(own.problem, own.fit, 0, 2)
+    if square is None:
+        return float("nan"), float("nan")
+    p = square.parameters
+    omega = float(np.hypot(p[0], p[1]))
+    sd = float(np.sqrt(square.covariance[0, 0])) * factor / omega
+    values = np.array([zeta0[0], float(p[0]) / omega])
+    # What the form does below the lowest amplitude is an assumption.
+    variances = np.array([zeta0[1] ** 2, sd**2 + (0.5 * float(p[2]) * lowest / omega) ** 2])
+    gain = float(np.sum((linear.linear.rss - square.linear.rss) / linear.linear.noise_variance)) / factor**2
+    share = expit(0.5 * gain)
+    weights = np.array([1.0 - share, share])
+    mean = float(weights @ values)
+    return mean, float(np.sqrt(weights @ (variances + (values - mean) ** 2)))
+
 
 # Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
 # only be extrapolated.
@@ -271,3 +417,47 @@ def widened(
     wide = zetas + extra_sd[1] * rng.permutation(scores).reshape(zetas.shape)
     half = 0.5 * zetas
     return wide_hz, np.where(wide < half, half * np.exp(np.minimum(wide / half, 1.0) - 1.0), wide)
+
+
+def with_rate_error(found: Identification) -> Identification:
+    """The identification with the error of the frame rate in every frequency; unchanged where the rate is exact.
+
+    A wrong rate stretches time: all frequencies are wrong by the same factor, damping ratios and ratios of frequencies
+    are not. The draws of all modes are therefore multiplied by the same random factors of mean 1; driven motions have
+    no draws, and their standard deviations are increased.
+    """
+    ppm = found.series.rate_sd_ppm
+    if ppm == 0.0:
+        return found
+    note = (
+        f"The frame rate is known to {ppm:g} ppm (relative sd): the interval of every frequency includes it. The error "
+        "is common to all modes and to all recordings of one camera, and does not affect damping ratios. If the rate "
+        "is known better, give fps_tolerance_ppm."
+    )
+    return replace(
+        found,
+        modes=tuple(_widened(mode, ppm) for mode in found.modes),
+        driven=tuple(_widened_line(line, ppm) for line in found.driven),
+        notes=(*found.notes, note),
+    )
+
+
+def _widened_line(line: DrivenMotion, ppm: float) -> DrivenMotion:
+    return replace(
+        line, frequency_sd_hz=float(np.hypot(line.frequency_sd_hz, 1e-6 * ppm * line.frequency_hz))
+    )
+
+
+def _widened(mode: IdentifiedMode, ppm: float) -> IdentifiedMode:
+    posterior, dependence = mode.posterior, mode.amplitude_dependence
+    frequency_hz = posterior.frequency_hz * posterior.rate_factors(ppm)
+    if dependence is not None:
+        f0_sd_hz = float(np.hypot(dependence.f0_sd_hz, 1e-6 * ppm * dependence.f0_hz))
+        curve = dependence.curve
+        if curve is not None:
+            curve = replace(
+                curve, frequency_sd_hz=np.hypot(curve.frequency_sd_hz, 1e-6 * ppm * curve.frequency_hz)
+            )
+        dependence = replace(dependence, f0_sd_hz=f0_sd_hz, curve=curve)
+    widened = replace(posterior, frequency_hz=frequency_hz, rate_sd_ppm=ppm)
+    return replace(mode, posterior=widened, amplitude_dependence=dependence)

@@ -15,7 +15,7 @@ from emcee.moves import Move
 from emcee.state import State
 from scipy.fft import irfft, next_fast_len, rfft
 
-from modal_id.posterior.density import REACH_SD, PoleDensity
+from modal_id.posterior.likelihood import REACH_SD, PoleDensity
 from modal_id.settings import SamplerSettings
 from tracker import BoolArray, FloatArray
 

@@ -1,6 +1,6 @@
 from .columns import Samples as Samples
-from .duhamel import drive as drive
-from .frf import local_polynomial as local_polynomial
+from .columns import drive as drive
 from .identify_response import identify_response as identify_response
 from .known_input import fit_response as fit_response
 from .solution import ResponseFit as ResponseFit
+from .solution import local_polynomial as local_polynomial

@@ -1,4 +1,4 @@
-"""Known input: samples, their transform, and the linear columns of modes that the input drives."""
+"""Known input: what it must be, its values at any time and lag, its transform, and the linear columns of modes."""
 
 from __future__ import annotations
 
@@ -6,25 +6,251 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.polynomial.legendre import legvander
 from scipy.fft import irfft, rfft
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
-from modal_id.response.channel import Channel
-from modal_id.response.duhamel import Drive, drive
+from modal_id.data import runs
 from modal_id.solve import mode_functions
-from tracker import BoolArray, ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, DisplacementSeries, FloatArray, KnownInput
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Slow columns."""
+    """Inputs that are refused, integration of one time step, interpolation of the input, slow columns."""
 
+    #: [samples] shortest run at an extreme value that is clipped
+    least_run: int = 3
+    #: [1] resolutions between a clipped value and those beside the run
+    #: physics: A parabola that is constant to one resolution over three samples falls by less than five to the next.
+    steps: float = 5.0
+    #: [1] share of missing input samples above which the record is refused
+    most_missing: float = 0.1
+    #: [1] share of the rows with an output, between the first and the last, below which the rates differ
+    #: convention: Every second row; lost frames are fewer.
+    least_outputs: float = 0.55
+    #: [1] least number of changes of an input that is held between them
+    #: statistics: Of values that are free to change, as many would not all be apart by two samples and more.
+    least_changes: int = 20
+    #: [1] largest |lambda| h at which the integrals of a step are summed as a series
+    #: physics: The recursion that is used above it loses three digits here, and more below.
+    series: float = 0.3
+    #: [1] relative change of the time step above which its integrals are computed again
+    #: physics: Time stamps are rounded to about nine digits.
+    same_step: float = 1e-9
+    #: [1] step of the derivative with respect to lambda, over |Re lambda| + 1 / span
+    #: physics: Error of the central difference 1e-10, of rounding 1e-11.
+    difference: float = 1e-5
+    #: [1] degree of the spline between the samples
+    #: physics: At 0.6 of the Nyquist frequency, the highest of the fit, it changes a sinusoid by 0.5 % at most.
+    degree: int = 7
     #: [1] degree of the polynomial of the drift
     #: physics: The transform leaks the steps of the drift's value and first derivatives between both ends.
     drift_degree: int = 3
 
 
 TUNING = Tuning()
+
+
+def sparse_outputs(series: DisplacementSeries, known: KnownInput) -> str | None:
+    """Why the outputs do not belong to the rows of the input; None where they do, or where there are none at all."""
+    recorded = np.any(np.isfinite(series.values), axis=1)
+    rows = np.flatnonzero(recorded)
+    if not rows.size:
+        return None
+    share = float(np.mean(recorded[rows[0] : rows[-1] + 1]))
+    if share >= TUNING.least_outputs:
+        return None
+    return (
+        f"the outputs have a value in {100.0 * share:.0f} % of the rows of the input {known.name}: they were recorded "
+        "at a lower rate; low-pass the input, and give it at the times of the outputs"
+    )
+
+
+def unusable(values: FloatArray, recorded: BoolArray, known: KnownInput) -> str | None:
+    """Why an input cannot be used; None where it can.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        The input at the rows of the fit; NaN where missing.
+    recorded : bool array, shape (n,)
+        Rows with an output.
+    known : KnownInput
+    """
+    seen = np.isfinite(values)
+    missing = float(np.mean(~seen[recorded]))
+    if missing > TUNING.most_missing:
+        return (
+            f"the input {known.name} is missing in {100.0 * missing:.0f} % of the samples, more than "
+            f"{100.0 * TUNING.most_missing:.0f} %: record it throughout and at the rate of the outputs, cut the record "
+            "by onset_s and end_s to where it is given, or identify the outputs alone"
+        )
+    values = values[seen]
+    spread = float(np.std(values))
+    if np.ptp(values) == 0.0 or spread < 2.0 * known.sd:
+        return (
+            f"the input {known.name} does not move (standard deviation {spread:.3g} {known.unit}, noise "
+            f"{known.sd:.3g}): identify the outputs alone, as a free decay"
+        )
+    apart = np.diff(np.flatnonzero(np.diff(values)))
+    if apart.size >= TUNING.least_changes and np.min(apart) > 1:
+        return (
+            f"the input {known.name} keeps each value for {np.median(apart):.0f} samples: it was recorded at a "
+            "lower rate than the outputs; record it at their rate, or give both at the times at which it was recorded"
+        )
+    if _is_clipped(values):
+        return (
+            f"the input {known.name} is clipped: many samples share its extreme value, so that the true input is not "
+            "known; reduce the amplitude or use a larger range"
+        )
+    return None
+
+
+def _is_clipped(values: FloatArray) -> bool:
+    """Whether the input stays at an extreme value to which it came in larger steps than its resolution.
+
+    A slow or coarsely quantised peak also repeats its extreme value, but leaves it by one or two steps.
+    """
+    steps = np.diff(np.unique(values))
+    for turned in (values, -values):
+        top = float(np.max(turned))
+        for start, end in runs(turned == top):
+            beside = np.append(turned[max(start - 1, 0) : start], turned[end : end + 1])
+            if (
+                end - start >= TUNING.least_run
+                and beside.size
+                and np.all(top - beside > TUNING.steps * np.min(steps))
+            ):
+                return True
+    return False
+
+
+_SERIES, _SAME_STEP = TUNING.series, TUNING.same_step
+
+
+@dataclass(frozen=True)
+class Drive:
+    """An input between its samples: a cubic spline, of which the response is integrated exactly.
+
+    Attributes
+    ----------
+    steps_s : array, shape (n - 1,)
+        From each sample to the next; may differ.
+    coefficients : array, shape (4, n - 1)
+        Of the polynomial in the time from the sample before, highest power first.
+    """
+
+    steps_s: FloatArray
+    coefficients: FloatArray
+
+    def response(self, pole: complex) -> ComplexArray:
+        """Solution z of ``z' = lambda z + u``, ``z = 0`` at the first sample, at the samples; shape (n,).
+
+        Exact for the spline whatever the time step. The error is that of the spline: for an input at frequency f
+        sampled at rate r about ``(2 pi f / r)^4 / 720``.
+        """
+        return _response(complex(pole), self.steps_s, self.coefficients)
+
+    def at_samples(self) -> FloatArray:
+        """The input at the samples, gaps filled; shape (n,)."""
+        end = np.polyval(self.coefficients[:, -1], self.steps_s[-1])
+        return np.append(self.coefficients[3], end)
+
+    def curvature(self) -> FloatArray:
+        """Second derivative of the input at the samples; shape (n,)."""
+        end = 2.0 * self.coefficients[1, -1] + 6.0 * self.coefficients[0, -1] * self.steps_s[-1]
+        return np.append(2.0 * self.coefficients[1], end)
+
+    def derivative(self) -> Drive:
+        """The first derivative of the input, itself an input."""
+        a, b, c, _ = self.coefficients
+        return Drive(self.steps_s, np.stack([np.zeros(a.size), 3.0 * a, 2.0 * b, c]))
+
+    def slope(self, pole: complex) -> ComplexArray:
+        """Derivative of the response with respect to lambda, of which it is an analytic function; shape (n,)."""
+        step = TUNING.difference * (abs(pole.real) + 1.0 / float(np.sum(self.steps_s)))
+        return (self.response(pole + step) - self.response(pole - step)) / (2.0 * step)
+
+
+def drive(time_s: FloatArray, values: FloatArray) -> Drive:
+    """The input between samples; `values`, shape (n,), are taken through a gap (NaN) by the spline of the others."""
+    seen = np.isfinite(values)
+    spline = CubicSpline(time_s[seen], values[seen])
+    if not seen.all():
+        spline = CubicSpline(time_s, spline(time_s))
+    return Drive(np.diff(time_s), np.ascontiguousarray(spline.c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _response(pole: complex, steps_s: FloatArray, coefficients: FloatArray) -> ComplexArray:
+    found = np.zeros(steps_s.size + 1, np.complex128)
+    integrals = np.zeros(4, np.complex128)
+    growth, step = 1.0 + 0.0j, -1.0
+    for at in range(steps_s.size):
+        if abs(steps_s[at] - step) > _SAME_STEP * step or step < 0.0:
+            step = steps_s[at]
+            growth = np.exp(pole * step)
+            _integrals(pole, step, growth, integrals)
+        total = growth * found[at]
+        for power in range(4):
+            total += coefficients[3 - power, at] * integrals[power]
+        found[at + 1] = total
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _integrals(pole: complex, step: float, growth: complex, into: ComplexArray) -> None:
+    """Integrals of ``exp(lambda (h - s)) s^p`` over s from 0 to h, p = 0..3."""
+    if abs(pole * step) > _SERIES:
+        into[0] = (growth - 1.0) / pole
+        for power in range(1, 4):
+            into[power] = (power * into[power - 1] - step**power) / pole
+        return
+    for power in range(4):
+        term = step ** (power + 1) / (power + 1) + 0.0j
+        into[power] = term
+        for k in range(1, 16):
+            term *= pole * step / (k + power + 1)
+            into[power] += term
+
+
+@dataclass(frozen=True)
+class Channel:
+    """The input as a function of time, and which outputs are given where it is known.
+
+    Attributes
+    ----------
+    spline : BSpline
+        Through the samples, gaps filled.
+    start_s, end_s : float
+        First and last sample.
+    given : bool array, shape (n, k)
+        Outputs that are not missing.
+    """
+
+    spline: BSpline
+    start_s: float
+    end_s: float
+    given: BoolArray
+
+    @classmethod
+    def through(cls, time_s: FloatArray, values: FloatArray, given: BoolArray) -> Channel:
+        """Of samples, shape (n,), NaN where missing."""
+        spline = make_interp_spline(time_s, drive(time_s, values).at_samples(), TUNING.degree)
+        return cls(spline, float(time_s[0]), float(time_s[-1]), given)
+
+    def at(self, time_s: FloatArray, lag_s: float) -> tuple[FloatArray, BoolArray]:
+        """The input of which the record at `time_s` is `lag_s` late, and whether it was recorded; shapes (n,).
+
+        Before the first and after the last sample it is that sample.
+        """
+        late = time_s + lag_s
+        inside = (late >= self.start_s) & (late <= self.end_s)
+        values = self.spline(np.clip(late, self.start_s, self.end_s))
+        return np.asarray(values, dtype=np.float64), np.asarray(inside)
+
 
 #: Columns beside those of the modes: the input, its second derivative (the modes above the band), the polynomial.
 FIXED = 2 + TUNING.drift_degree + 1

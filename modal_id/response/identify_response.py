@@ -10,23 +10,19 @@ from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
 from modal_id.flags import ModeFlag
-from modal_id.modes import choose_target_of, number_modes, rejected_modes, shape_disagreement
+from modal_id.mode_values import FrequencyResponse
+from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
-from modal_id.response.channel import Channel
-from modal_id.response.columns import Samples
-from modal_id.response.frf import TUNING as FRF
-from modal_id.response.frf import coherence, local_polynomial, model_bands
-from modal_id.response.input_checks import sparse_outputs, unusable
-from modal_id.response.known_input import criterion, fit_response
-from modal_id.response.lag import fit_with_lag
+from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
+from modal_id.response.known_input import criterion, fit_response, fit_with_lag
 from modal_id.response.noise import InputNoise
-from modal_id.response.solution import ResponseFit, left_at_mode
-from modal_id.response_values import FrequencyResponse
+from modal_id.response.solution import TUNING as FRF
+from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.settings import IdentifySettings
-from modal_id.solve import damping_ratio, frequency_hz
+from modal_id.solve import damping_ratio, frequency_hz, modal_slopes
 from tracker import DisplacementSeries, Failure, FloatArray, KnownInput
 
 
@@ -98,7 +94,7 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
 
 def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | str | None:
     """The fit, with the lag of the input as asked for; why there is none; None where no mode exceeds the noise."""
-    options = settings.max_modes, _lowest_hz(settings), known.sd
+    options = settings.max_modes, settings.lowest_hz, known.sd
     if settings.input_lag_ms == "auto":
         found = fit_with_lag(data, *options)
         if not isinstance(found, str):
@@ -118,11 +114,6 @@ def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> Res
     channel = Channel.through(data.time_s, data.input, data.given)
     late = replace(data, channel=channel).with_lag(lag_s)
     return fit_response(replace(late, channel=None), *options)
-
-
-def _lowest_hz(settings: IdentifySettings) -> float:
-    """Well below the lowest mode in theory, 0 where none is given."""
-    return 0.4 * min(settings.expected_frequencies_hz, default=0.0)
 
 
 def _samples(
@@ -187,12 +178,11 @@ def _assembled(
     fitted[cells] = columns @ found.coefficients
     baseline[cells] = columns[:, 2:6] @ found.coefficients[2:6]
     used[cells] = given = samples.given[places]
-    residual_sd = np.full(k, np.nan)
-    residual_sd[prepared.channels] = np.sqrt(
-        np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
-    )
+    left = np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
     listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
-    modes, failed = _numbered(listed, samples, settings)
+    failed = [one for one in listed if isinstance(one, FailedMode)]
+    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
+    kept, others = numbered(modes, settings, 1.0 / samples.step_s)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     whole = rows.stop - rows.start == series.time_s.size
     part = "from the first sample to the last" if whole else f"from {start_s:.4g} to {end_s:.4g} s"
@@ -200,19 +190,19 @@ def _assembled(
     return Identification(
         series=series,
         onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
-        modes=modes,
-        failed=failed,
+        modes=kept,
+        failed=(*failed, *others),
         fitted=fitted,
         baseline=baseline,
         used=used == 1.0,
-        residual_sd=residual_sd,
+        residual_sd=prepared.in_series(np.sqrt(left), k),
         channels_used=np.isin(np.arange(k), prepared.channels),
         notes=(
             *series.notes,
             *prepared.notes,
             note,
             *_notes(known, found),
-            *_unexplained(found, _lowest_hz(settings)),
+            *_unexplained(found, settings.lowest_hz),
         ),
         segments=(Segment("driven", start_s, end_s, note),),
         response=_response(series, prepared, known, found, settings),
@@ -231,12 +221,7 @@ def _mode(
     factor, left = left_at_mode(found, index)
     own = factor * found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
     hz, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    slopes = np.array(
-        [
-            [pole.real / abs(pole) / (2.0 * np.pi), pole.imag / abs(pole) / (2.0 * np.pi)],
-            [-(pole.imag**2) / abs(pole) ** 3, pole.real * pole.imag / abs(pole) ** 3],
-        ]
-    )
+    slopes = modal_slopes(pole)
     sd = np.sqrt(np.diag(slopes @ own @ slopes.T))
     if sd[1] > TUNING.most_relative_sd * zeta:
         reason = (
@@ -250,62 +235,18 @@ def _mode(
     )
     z = found.samples.drive.response(pole)
     largest = z[int(np.argmax(np.abs(z)))]
-    k = len(series.channels)
-    shape, shape_sd = np.full(k, complex(np.nan, np.nan)), np.full(k, np.nan)
-    shape[prepared.channels] = driven * largest
-    shape_sd[prepared.channels] = errors / np.maximum(np.abs(values), 1e-300) * np.abs(driven * largest)
-    all_values, all_errors = np.full(k, np.nan), np.full(k, np.nan)
-    all_values[prepared.channels], all_errors[prepared.channels] = values, np.sqrt(factor) * errors
-    flags = (ModeFlag.RESIDUAL_AT_MODE,) if left > MUCH_LEFT else ()
-    return IdentifiedMode(
-        shape=shape,
-        shape_sd=shape_sd,
+    k, shape = len(series.channels), driven * largest
+    shape_sd = errors / np.maximum(np.abs(values), 1e-300) * np.abs(shape)
+    mode = IdentifiedMode(
+        shape=prepared.in_series(shape, k),
+        shape_sd=prepared.in_series(shape_sd, k),
         amplitude=float(np.nanmax(np.abs(shape))),
         amplitude_unit=series.unit,
         posterior=_posterior(pole, own, (float(sd[0]), float(sd[1])), factor, index, settings),
-        flags=tuple(flag.name for flag in flags),
-        notes=tuple(flag.value for flag in flags),
-        severities=tuple((flag.name, flag.usual_severity.name) for flag in flags),
-        participation=all_values,
-        participation_sd=all_errors,
+        participation=prepared.in_series(values, k),
+        participation_sd=prepared.in_series(np.sqrt(factor) * errors, k),
     )
-
-
-def _numbered(
-    listed: list[IdentifiedMode | FailedMode], samples: Samples, settings: IdentifySettings
-) -> tuple[tuple[IdentifiedMode, ...], tuple[FailedMode, ...]]:
-    """Modes with their numbers in theory, the requested or strongest one marked, and those that are not listed."""
-    modes = [one for one in listed if isinstance(one, IdentifiedMode)]
-    failed = [one for one in listed if isinstance(one, FailedMode)]
-    if not modes:
-        return (), tuple(failed)
-    frequencies = np.array([mode.frequency_hz for mode in modes])
-    shapes = np.stack([mode.shape for mode in modes])
-    strength = np.array([mode.amplitude for mode in modes])
-    rejected = rejected_modes(frequencies, settings)
-    numbers, macs = (found := number_modes(frequencies, shapes, strength, settings)).numbers, found.macs
-    choice = choose_target_of(
-        rejected, frequencies, shapes, strength, numbers, settings, 1.0 / samples.step_s
-    )
-    if choice.index is None:
-        failed.append(
-            FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
-        )
-    kept = []
-    for index, mode in enumerate(modes):
-        if rejected[index]:
-            failed.append(FailedMode("it is no mode according to reject_hz", frequency_hz=mode.frequency_hz))
-            continue
-        kept.append(replace(mode, number=numbers[index], target=index == choice.index, mac=macs[index]))
-        if words := shape_disagreement(mode.shape, mode.shape_sd, numbers[index], settings):
-            flag = ModeFlag.SHAPE_DISAGREES
-            kept[-1] = replace(
-                kept[-1],
-                flags=(*mode.flags, flag.name),
-                notes=(*mode.notes, flag.value, words),
-                severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
-            )
-    return tuple(kept), tuple(failed)
+    return mode.with_flags([ModeFlag.RESIDUAL_AT_MODE]) if left > MUCH_LEFT else mode
 
 
 def participation(

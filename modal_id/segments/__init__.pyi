@@ -1,7 +1,5 @@
 from .boundary import Boundary as Boundary
 from .boundary import locate_boundary as locate_boundary
-from .clicks import click_segments as click_segments
-from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
@@ -11,9 +9,11 @@ from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
 from .drive_odds import drive_probability as drive_probability
 from .drive_odds import held_density as held_density
+from .drive_odds import holds_a_decay as holds_a_decay
 from .drive_odds import is_driven as is_driven
 from .drive_odds import is_probably_driven as is_probably_driven
 from .drive_odds import is_rather_driven as is_rather_driven
+from .drive_odds import keeps_amplitude as keeps_amplitude
 from .drive_odds import may_be_driven as may_be_driven
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset
@@ -28,7 +28,7 @@ from .narrate import whole_record as whole_record
 from .partition import best_division as best_division
 from .partition import find_changes as find_changes
 from .partition import likeliest_change as likeliest_change
+from .partition import stretch_costs as stretch_costs
+from .spikes import click_segments as click_segments
+from .spikes import without_clicks as without_clicks
 from .spikes import without_spikes as without_spikes
-from .steadiness import holds_a_decay as holds_a_decay
-from .steadiness import keeps_amplitude as keeps_amplitude
-from .stretch_costs import stretch_costs as stretch_costs

@@ -12,7 +12,7 @@ import numpy as np
 from modal_id.data import FitData, bandwidth_hz, baseline_splines, detrended
 from modal_id.fit import ModalFit, find_modes
 from modal_id.solve import Problem, fit_poles, frequency_hz
-from tracker import BoolArray, ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def locate_boundary(
     found: Boundary | None = None
     low, high = limits_s
     reach = TUNING.reach_cycles * cycle_s
-    zone = _between(data, max(begin_s, low - reach), min(until_s, high + reach))
+    zone = data.inside(max(begin_s, low - reach), min(until_s, high + reach))
     zone &= np.any(data.weights > 0.0, axis=1)
     if np.count_nonzero(zone) < 2:
         return None
@@ -132,15 +132,11 @@ def locate_boundary(
     return found
 
 
-def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
-    return np.asarray((data.time_s >= start_s - 1e-12) & (data.time_s <= end_s + 1e-12))
-
-
 def motion_beside(
     data: FitData, start_s: float, end_s: float, cycle_s: float, lowest_hz: float, *, last: bool
 ) -> Motion | None:
     """Motion between two times; its offset is that of the last, or first, two cycles. None where they are too near."""
-    rows = _between(data, start_s, end_s) & np.any(data.weights > 0.0, axis=1)
+    rows = data.inside(start_s, end_s) & np.any(data.weights > 0.0, axis=1)
     if np.count_nonzero(rows) < TUNING.least_rows or end_s - start_s < TUNING.least_cycles * cycle_s:
         return None
     return fitted_motion(data.rows(rows), cycle_s, lowest_hz, last=last)

@@ -9,8 +9,15 @@ import numpy as np
 
 from modal_id.data import FitData, detrended, rough_variance
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.dominant import Tones, find_tones, without_swing
-from modal_id.segments.drive_odds import PRIOR, PRIOR_AFTER_JUMP, is_probably_driven, is_rather_driven
+from modal_id.segments.change_point import ChangeSearch
+from modal_id.segments.drive_odds import (
+    PRIOR,
+    PRIOR_AFTER_JUMP,
+    decays,
+    is_probably_driven,
+    is_rather_driven,
+    probability_of_drive,
+)
 from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
@@ -19,11 +26,9 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
-from modal_id.segments.line_blocks import line_blocks
+from modal_id.segments.lines import Tones, find_tones, line_blocks, without_swing
 from modal_id.segments.partition import Change, likeliest_change
 from modal_id.segments.spikes import without_spikes
-from modal_id.segments.steadiness import decays, probability_of_drive
-from modal_id.segments.stop import ChangeSearch
 from tracker import BoolArray, FloatArray
 
 
@@ -221,7 +226,7 @@ class _Division:
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
         for burst in (e for e in events if e.kind == "burst"):
-            self.disturbed |= _within(data.time_s, burst)
+            self.disturbed |= data.inside(burst.start_s, burst.end_s)
             self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
         kept = [e for e in events if e.kind != "burst"]
         starts = [0.0, *(e.end_s for e in kept)]
@@ -410,10 +415,6 @@ class _Division:
             )
         segments = tuple(sorted(self.segments, key=lambda s: (s.start_s, s.end_s)))
         return RecordParts(tuple(self.decays), segments, self.disturbed, none)
-
-
-def _within(time_s: FloatArray, event: Event) -> BoolArray:
-    return np.asarray((time_s >= event.start_s) & (time_s <= event.end_s))
 
 
 def _rises(piece: _Piece) -> bool:

@@ -13,19 +13,18 @@ import numpy as np
 
 from modal_id.data import FitData, baseline_matrix, rough_variance
 from modal_id.fit import ModalFit
+from modal_id.segments.boundary import TUNING as BOUNDARY
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
+from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.partition import Change, find_changes
-from modal_id.segments.stop import ChangeSearch
 from modal_id.solve import mode_functions, real_columns
-from tracker import BoolArray, FloatArray
+from tracker import FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
     """Confirmation of events."""
 
-    #: [cycles] length of the motions fitted on either side of a change
-    side_cycles: float = 12.0
     #: [1] error of a motion over its amplitude
     #: convention: Damping that depends on the amplitude.
     relative_error: float = 0.01
@@ -113,17 +112,13 @@ def find_events(
             continue
         events.append(event)
         if event.kind == "burst":
-            inside = _between(data, event.start_s, event.end_s)
+            inside = data.inside(event.start_s, event.end_s)
             data = replace(data, weights=np.where(inside[:, None], 0.0, data.weights))
         else:
             begin = event.end_s
     joined = [e for e in events if e.jump < TUNING.joins]
     events = events if len(joined) <= TUNING.most_joined else [e for e in events if e not in joined]
     return events, others
-
-
-def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
-    return np.asarray((data.time_s >= start_s - 1e-12) & (data.time_s <= end_s + 1e-12))
 
 
 def _event(
@@ -133,7 +128,7 @@ def _event(
     low, high = max(change.low_s, begin_s), min(change.high_s, until_s)
     if not low < high:
         return None
-    reach_s = TUNING.side_cycles * cycle_s
+    reach_s = BOUNDARY.side_cycles * cycle_s
     spans = (max(begin_s, low - reach_s), low), (high, min(until_s, high + reach_s))
     before, after = (
         motion_beside(data, *span, cycle_s, lowest_hz, last=k == 0) for k, span in enumerate(spans)
@@ -166,7 +161,7 @@ def _one_motion(
     found again; with constant poles, or one that changes evenly, as damping that depends on the amplitude does.
     """
     # without the outliers of either side
-    rows = [_between(data, *span) & np.any(data.weights > 0.0, axis=1) for span in spans]
+    rows = [data.inside(*span) & np.any(data.weights > 0.0, axis=1) for span in spans]
     weights = [
         data.weights[own] if side.model is None else side.model.data.weights
         for own, side in zip(rows, (before, after), strict=True)
@@ -239,7 +234,7 @@ def _penalty(motion: Motion) -> float:
 
 def _click(data: FitData, motion: Motion, low_s: float, high_s: float, cycle_s: float) -> Event | None:
     """The click within a motion that goes on: samples that it does not explain; None without any."""
-    rows = _between(data, low_s, high_s)
+    rows = data.inside(low_s, high_s)
     left = data.values[rows] - motion.at(data.time_s[rows])[0]
     square = np.mean(data.weights[rows] * (left - np.mean(left, axis=0)) ** 2 / motion.variance, axis=1)
     loud = np.flatnonzero(square > TUNING.burst)

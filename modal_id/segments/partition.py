@@ -11,12 +11,269 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from modal_id.data import FitData
-from modal_id.segments.line_blocks import LineBlocks, line_blocks, shortest_block_s
-from modal_id.segments.stop import ChangeSearch
-from modal_id.segments.stretch_costs import stretch_costs
-from tracker import BoolArray, FloatArray
+from modal_id.segments.change_point import ChangeSearch
+from modal_id.segments.lines import LineBlocks, line_blocks, shortest_block_s
+from tracker import BoolArray, ComplexArray, FloatArray
+
+# Gauss-Newton steps of each wave; the pole of a stretch is nearly known from one block less.
+_STEPS = 3
+# Largest exponent of a wave from the middle of its stretch, largest growth of a pole in a block, and of each of two.
+_MOST_GROWTH, _GROWS, _BOTH_GROW = 40.0, 0.05, 1.3
+# Share of the largest possible determinant below which two columns are one.
+_SINGULAR = 1e-12
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> tuple[FloatArray, FloatArray]:
+    """-2 ln likelihood and penalty of the stretch from each edge to each later one, and its number of waves.
+
+    Parameters
+    ----------
+    amplitude : complex array, shape (b, k)
+        In b blocks, with noise of variance 1; NaN where unknown.
+    relative : float
+        Error of a wave over its amplitude.
+    penalty : float
+        Cost of each real parameter.
+
+    Returns
+    -------
+    cost, waves : array, shape (b + 1, b + 1)
+        Infinite and 0 where there is no stretch.
+    """
+    n, k = amplitude.shape
+    cost, waves = np.full((n + 1, n + 1), np.inf), np.zeros((n + 1, n + 1))
+    a, power, weight = np.zeros((n, k), dtype=np.complex128), np.zeros(n), np.zeros(n)
+    for b in range(n):
+        own = 0.0
+        for c in range(k):
+            own += _power(amplitude[b, c])
+        if np.isfinite(own):
+            a[b], power[b], weight[b] = amplitude[b], own, 1.0 / (1.0 + relative**2 * own)
+    for i in range(n):
+        log_variance, energy, count, lag, before = 0.0, 0.0, 0, 0j, 0.0
+        for j in range(i + 1, n + 1):
+            b = j - 1
+            if weight[b] > 0.0:
+                log_variance -= 2.0 * k * np.log(weight[b])
+                energy += power[b]
+                count += 1
+                if b > i and weight[b - 1] > 0.0:
+                    for c in range(k):
+                        lag += np.conj(a[b - 1, c]) * a[b, c] * weight[b - 1]
+                    before += (power[b - 1] - k) * weight[b - 1]
+            variance = max(energy / max(k * count, 1), 1.0)
+            cost[i, j] = 2.0 * k * count * np.log(variance) + 2.0 * energy / variance + penalty
+            if count >= 3:
+                start = lag / max(before, 0.8 * abs(lag) + 1e-300)
+                found, which = _of_waves(a[i:j], weight[i:j], start, count, penalty)
+                if found + log_variance < cost[i, j]:
+                    cost[i, j], waves[i, j] = found + log_variance, which
+    return cost, waves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_waves(
+    a: ComplexArray, weight: FloatArray, start: complex, count: int, penalty: float
+) -> tuple[float, float]:
+    """Least cost of a wave, a bent wave or two waves, and their number."""
+    k = a.shape[1]
+    rss, pole = _one_wave(a, weight, start, 0)
+    least, which = rss + (2 + 2 * k) * penalty, 1.0
+    if count >= 5 and rss > 2.0 * k * count + 2.0 * penalty:
+        rss, _ = _one_wave(a, weight, pole, 1)
+        least = min(least, rss + (4 + 2 * k) * penalty)
+        if count >= 6 and rss > 2.0 * k * count + 2.0 * k * penalty:
+            rss = _two_waves(a, weight)
+            if rss + (4 + 4 * k) * penalty < least:
+                least, which = rss + (4 + 4 * k) * penalty, 2.0
+    return least, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _one_wave(a: ComplexArray, weight: FloatArray, pole: complex, bends: int) -> tuple[float, complex]:
+    """Twice the least weighted rss of ``c exp(l x + q x^2)``, x from the middle, and ``exp(l)``; q = 0 unless it bends.
+
+    The wave is holomorphic in l and q: Gauss-Newton in complex numbers, the amplitudes projected out.
+    """
+    n, k = a.shape
+    middle = 0.5 * (n - 1)
+    rate, bend = np.log(pole + 1e-12), 0j
+    least, best = np.inf, rate
+    wave, own = np.empty(n, dtype=np.complex128), np.empty(n)
+    for _ in range(_STEPS + 1):
+        s0 = s1 = s2 = s3 = s4 = 0.0
+        for b in range(n):
+            x = b - middle
+            exponent = (rate + bend * x) * x
+            wave[b] = np.exp(complex(min(exponent.real, _MOST_GROWTH), exponent.imag))
+            own[b] = weight[b] * _power(wave[b])
+            s0 += own[b]
+            s1 += own[b] * x
+            s2 += own[b] * x * x
+            s3 += own[b] * x * x * x
+            s4 += own[b] * x * x * x * x
+        rss, size, g1, g2 = 0.0, 0.0, 0j, 0j
+        for c in range(k):
+            amplitude = 0j
+            for b in range(n):
+                amplitude += weight[b] * np.conj(wave[b]) * a[b, c]
+            amplitude /= max(s0, 1e-300)
+            size += _power(amplitude)
+            for b in range(n):
+                x, left = b - middle, a[b, c] - amplitude * wave[b]
+                rss += 2.0 * weight[b] * _power(left)
+                along = weight[b] * np.conj(amplitude * wave[b]) * left * x
+                g1 += along
+                g2 += along * x
+        if rss < least:
+            least, best = rss, rate
+        h11, h12, h22 = (s2 - s1**2 / s0) * size, (s3 - s1 * s2 / s0) * size, (s4 - s2**2 / s0) * size
+        det = h11 * h22 - h12 * h12
+        if not h11 > 0.0 or (bends and not det > _SINGULAR * h11 * h22):
+            break
+        if bends:
+            rate, bend = rate + (h22 * g1 - h12 * g2) / det, bend + (h11 * g2 - h12 * g1) / det
+        else:
+            rate = rate + g1 / h11
+            # no free motion grows
+            rate = complex(min(rate.real, _GROWS), rate.imag)
+    return least, np.exp(best)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _two_waves(a: ComplexArray, weight: FloatArray) -> float:
+    """Twice the least weighted rss of two waves, from linear prediction by two blocks and Gauss-Newton."""
+    g00 = g11 = 0.0
+    g01 = y0 = y1 = 0j
+    for b in range(2, weight.size):
+        if weight[b - 2] * weight[b - 1] * weight[b] > 0.0:
+            for c in range(a.shape[1]):
+                first, second, third = a[b - 2, c], a[b - 1, c], a[b, c]
+                g00 += _power(second)
+                g11 += _power(first)
+                g01 += np.conj(second) * first
+                y0 += np.conj(second) * third
+                y1 += np.conj(first) * third
+    det = g00 * g11 - _power(g01)
+    if not det > _SINGULAR * g00 * g11:
+        return np.inf
+    first, second = (g11 * y0 - g01 * y1) / det, (g00 * y1 - np.conj(g01) * y0) / det
+    root = np.sqrt(first * first + 4.0 * second)
+    p, q = 0.5 * (first + root), 0.5 * (first - root)
+    least = np.inf
+    for _ in range(_STEPS + 1):
+        if not (max(abs(p), abs(q)) < _BOTH_GROW and abs(p - q) > 1e-9):
+            break
+        rss, step_p, step_q = _step_of_two(a, weight, p, q)
+        least = min(least, rss)
+        if not np.isfinite(step_p.real + step_p.imag + step_q.real + step_q.imag):
+            break
+        p, q = p + step_p, q + step_q
+    return least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step_of_two(
+    a: ComplexArray, weight: FloatArray, p: complex, q: complex
+) -> tuple[float, complex, complex]:
+    """Twice the weighted rss of two waves, and the Gauss-Newton steps of their poles, amplitudes projected out."""
+    wave, slope = _wave_and_slope(a.shape[0], p, q)
+    gram, cross = _products(wave, wave, weight), _products(wave, slope, weight)
+    unknown = complex(np.nan, 0.0)
+    if not _is_regular(gram):
+        return np.inf, unknown, unknown
+    inverse = _inverse(gram)
+    # what the waves do not explain of the derivatives
+    for u in range(2):
+        share0 = inverse[0, 0] * cross[0, u] + inverse[0, 1] * cross[1, u]
+        share1 = inverse[1, 0] * cross[0, u] + inverse[1, 1] * cross[1, u]
+        for b in range(a.shape[0]):
+            slope[b, u] -= share0 * wave[b, 0] + share1 * wave[b, 1]
+    rss, sizes, along = _residual_of_two(a, weight, wave, slope, inverse)
+    curvature = _products(slope, slope, weight) * sizes
+    if not _is_regular(curvature):
+        return rss, unknown, unknown
+    solved = _inverse(curvature)
+    step_p = solved[0, 0] * along[0] + solved[0, 1] * along[1]
+    return rss, step_p, solved[1, 0] * along[0] + solved[1, 1] * along[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wave_and_slope(n: int, p: complex, q: complex) -> tuple[ComplexArray, ComplexArray]:
+    """The wave of each pole in n blocks, and its derivative by the pole."""
+    wave, slope = np.zeros((n, 2), dtype=np.complex128), np.zeros((n, 2), dtype=np.complex128)
+    wave[0] = 1.0
+    for b in range(1, n):
+        wave[b, 0], wave[b, 1] = wave[b - 1, 0] * p, wave[b - 1, 1] * q
+        slope[b, 0] = slope[b - 1, 0] * p + wave[b - 1, 0]
+        slope[b, 1] = slope[b - 1, 1] * q + wave[b - 1, 1]
+    return wave, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residual_of_two(
+    a: ComplexArray, weight: FloatArray, wave: ComplexArray, slope: ComplexArray, inverse: ComplexArray
+) -> tuple[float, ComplexArray, ComplexArray]:
+    """Twice the weighted rss of two waves, inner products of their amplitudes, and of their slopes with the rest."""
+    n, k = a.shape
+    sizes, along = np.zeros((2, 2), dtype=np.complex128), np.zeros(2, dtype=np.complex128)
+    rss = 0.0
+    for c in range(k):
+        moment0 = moment1 = 0j
+        for b in range(n):
+            moment0 += weight[b] * np.conj(wave[b, 0]) * a[b, c]
+            moment1 += weight[b] * np.conj(wave[b, 1]) * a[b, c]
+        own0 = inverse[0, 0] * moment0 + inverse[0, 1] * moment1
+        own1 = inverse[1, 0] * moment0 + inverse[1, 1] * moment1
+        for b in range(n):
+            left = a[b, c] - own0 * wave[b, 0] - own1 * wave[b, 1]
+            rss += 2.0 * weight[b] * _power(left)
+            along[0] += np.conj(own0 * slope[b, 0]) * weight[b] * left
+            along[1] += np.conj(own1 * slope[b, 1]) * weight[b] * left
+        sizes[0, 0] += np.conj(own0) * own0
+        sizes[0, 1] += np.conj(own0) * own1
+        sizes[1, 0] += np.conj(own1) * own0
+        sizes[1, 1] += np.conj(own1) * own1
+    return rss, sizes, along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _power(z: complex) -> float:
+    return float(z.real * z.real + z.imag * z.imag)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _products(left: ComplexArray, right: ComplexArray, weight: FloatArray) -> ComplexArray:
+    """Weighted inner products of the columns of two arrays of two columns."""
+    found = np.zeros((2, 2), dtype=np.complex128)
+    for b in range(weight.size):
+        for u in range(2):
+            for v in range(2):
+                found[u, v] += weight[b] * np.conj(left[b, u]) * right[b, v]
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_regular(m: ComplexArray) -> bool:
+    return bool(abs(m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) > _SINGULAR * abs(m[0, 0] * m[1, 1]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inverse(m: ComplexArray) -> ComplexArray:
+    """Of a matrix of two rows."""
+    found = np.empty((2, 2), dtype=np.complex128)
+    det = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    found[0, 0], found[0, 1], found[1, 0], found[1, 1] = (
+        m[1, 1] / det,
+        -m[0, 1] / det,
+        -m[1, 0] / det,
+        m[0, 0] / det,
+    )
+    return found
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,8 @@ DECAYS = Group(
         "modal_id.data.baseline:_cubic",
         "modal_id.fit.amplitude_dependence:_decay",
         "modal_id.posterior.reduction:chi_square_of",
-        "modal_id.curve.quadrature:_slopes",
-        "modal_id.segments.stretch_costs:stretch_costs",
+        "modal_id.curve.law_fit:_slopes",
+        "modal_id.segments.partition:stretch_costs",
     ),
 )
 FILMS = Group(

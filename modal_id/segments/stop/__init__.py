@@ -1,5 +1,0 @@
-"""The instant at which steady shaking ends and a free decay begins."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
