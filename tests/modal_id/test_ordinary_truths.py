@@ -112,6 +112,7 @@ def test_a_stop_by_hand():
     assert not found.used[t > 8.0].any()
 
 
+@pytest.mark.slow  # in the fast suite: the same record by the command, modalcam/cli/test_cli.py
 def test_a_click_after_the_decay_of_a_ruler():
     found = identified(*ruler_with_click())
     assert_small_amplitude(found.target, (undamped_hz(38.4, 0.008), 0.008), bound_of_law(ruler, 300.0))
