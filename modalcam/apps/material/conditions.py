@@ -133,7 +133,10 @@ def without_sd(specimen: Specimen, *modes: Iterable[BarMode]) -> Iterator[str]:
     if any(np.isnan(q.sd) for q in of_modes):
         names.append("some frequencies or damping ratios")
     if names:
-        yield f"Without a standard deviation, and taken as exact: {', '.join(names)}. The intervals lack these errors."
+        yield (
+            f"Without a standard deviation: {', '.join(names)}. What is computed from these has no interval; give them "
+            "as VALUE+-SD, with +-0 where they are exact."
+        )
 
 
 def _condition(text: str, wrong: str, otherwise: str = HOLDS) -> Condition:

@@ -110,11 +110,18 @@ class _Draws:
         self.rng = rng
         self.standard = E1876 if specimen.kind == "free-free" else E756
         self.of: dict[str, FloatArray] = {}
+        #: names of the values whose standard deviation is not known: what is computed from them has no interval
+        self.without_sd: set[str] = set()
         for name, value in specimen.given().items():
             in_si = re.sub("_g$", "_kg", re.sub("_mm$", "_m", name))
+            self._note(in_si, value)
             self.of[in_si] = value.draws(rng, TUNING.draws) * (1.0 if in_si == name else 1e-3)
 
+    def _note(self, name: str, value: Quantity) -> None:
+        (self.without_sd.add if np.isnan(value.sd) else self.without_sd.discard)(name)
+
     def add(self, name: str, value: Quantity) -> FloatArray:
+        self._note(name, value)
         self.of[name] = value.draws(self.rng, TUNING.draws)
         return self.of[name]
 
@@ -127,7 +134,9 @@ class _Draws:
         """The row of a value from its draws and the names of what it was computed from; of `one`, or another `mode`."""
         unit, scale = ("GPa", 1e-9) if name[0] in "EG" else ("1", 1.0)
         draws = scale * drawn[1:]
-        low, high = np.quantile(draws, [0.05, 0.95])
+        sources = tuple(sources)
+        known = self.without_sd.isdisjoint(sources)
+        low, high = np.quantile(draws, [0.05, 0.95]) if known else (np.nan, np.nan)
         shares = {source: _share(draws, self.of[source][1:]) for source in sources}
         largest = max(shares, key=shares.__getitem__)
         hz = one.frequency_hz
@@ -138,11 +147,11 @@ class _Draws:
             quantity=name,
             unit=unit,
             value=scale * float(drawn[0]),
-            sd=float(np.std(draws)),
+            sd=float(np.std(draws)) if known else np.nan,
             q05=float(low),
             q95=float(high),
-            largest_source=re.sub("_(m|kg|kg_m3|hz)$", "", largest) if shares[largest] else "",
-            share=shares[largest],
+            largest_source=re.sub("_(m|kg|kg_m3|hz)$", "", largest) if known and shares[largest] else "",
+            share=shares[largest] if known else np.nan,
             equations=self.standard,
             remarks="|".join(one.remarks),
         )

@@ -160,6 +160,16 @@ def test_gravity_and_a_mass_are_taken_out():
     assert departure <= quotient
 
 
+def test_what_is_computed_from_a_size_without_sd_has_no_interval():
+    sizes = {"length_mm": (500.0, 0.5), "thickness_mm": (0.5, np.nan), "density_kg_m3": (8000.0, 10.0)}
+    specimen = Specimen("bar", **{name: Quantity(*value) for name, value in sizes.items()})
+    found = material(specimen, [BarMode(2, Quantity(10.19, 1e-3), Quantity(0.0028, 1e-5))])
+    e, eta = of(found, "E", 2), of(found, "loss_factor", 2)
+    assert np.isnan([e.sd, e.q05, e.q95]).all()
+    assert eta.sd == pytest.approx(2e-5, rel=0.03), "it does not depend on the sizes"
+    assert any("thickness_mm" in note and "no interval" in note for note in found.notes)
+
+
 def test_the_samples_have_the_moduli_and_loss_factors_of_the_truth(samples_run):
     result = load_run(samples_run)
     modes, _ = modes_of(result)
