@@ -147,7 +147,6 @@ def choose_order(
     log_places : float
         Logarithm of the number of bands of this width in the spectrum, each of which may hold a mode by chance.
 
-
     Notes
     -----
     The logarithm of the odds of one more mode is the gain of the log likelihood less the Schwarz criterion, half the

@@ -51,7 +51,7 @@ class Tuning:
     #: [1] largest lag over the span of the record
     #: physics: Outputs at whose times the input is not known do not count.
     most_share: float = 0.1
-    #: [rounds] number of such searches, each at the lag that the one before gave
+    #: [rounds] searches of `first_modes` modes, each at the lag that the one before gave
     #: measurement: After one, what an error of a tenth of a sample left was taken for a mode of damping ratio 0.5.
     first_rounds: int = 2
     #: [rounds] most searches of all modes, each at the lag that the one before gave

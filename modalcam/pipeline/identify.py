@@ -215,9 +215,8 @@ class MeasuredMode:
     Frequency and damping ratio are means weighted by the inverse variance; the standard deviations include the scatter
     between recordings beyond their own. A frequency that depends on the amplitude is that at small amplitude.
     `frequency` and `damping` hold the values of the recordings and how they agree, `small_damping` those of the damping
-    ratio at small amplitude. Draws are of the posterior of the
-    recording with the smallest standard deviation, spread evenly over its chains, shifted and scaled to the combined
-    value and standard deviation.
+    ratio at small amplitude. Draws are of the posterior of the recording with the smallest standard deviation, spread
+    evenly over its chains, shifted and scaled to the combined value and standard deviation.
 
     The error of the frame rate is common to recordings of one camera: `rate_sd` is its relative standard deviation, the
     largest of the recordings. `frequency` does not include it, `frequency_sd_hz` and the draws do.

@@ -8,6 +8,7 @@ tuple of its table; CSV, JSON and docs/columns.md follow.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
@@ -63,7 +64,7 @@ DRAG_COLUMNS = (
     replace(_NAMED["damping_ratio"], text="damping ratio at small amplitude"),
     _NAMED["damping_ratio_sd"],
 )
-TABLES: dict[str, tuple[Column, ...]] = {
+TABLES: Mapping[str, tuple[Column, ...]] = {
     "tracks/*.csv": (*TRACK_COLUMNS, CORRELATION_COLUMN),
     "modes.csv": (_RECORDING, *MODE_COLUMNS),
     "aliases.csv": ALIAS_COLUMNS,
@@ -86,7 +87,7 @@ def markdown() -> str:
         "",
         "[Files of a run](files.md) explains the tables. NaN, or an empty cell, is a value that is not known.",
     ]
-    for table, columns in (TABLES | REGISTERED).items():
+    for table, columns in {**TABLES, **REGISTERED}.items():
         lines += ["", f"## `{table}`", "", "| column | unit | meaning |", "| --- | --- | --- |"]
         lines += [f"| `{one.name}` | {one.unit} | {one.text} |" for one in columns]
     return "\n".join(lines) + "\n"

@@ -13,8 +13,7 @@ from modal_id import Identification
 from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
-from sim.comparison.scores import SD_OF_90
-from sim.damping import DampingModel
+from sim.damping import SD_OF_90, DampingModel
 from sim.dynamics import FailedSimulation, State
 from tracker import Failure, FloatArray
 

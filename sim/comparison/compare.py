@@ -23,7 +23,6 @@ from sim.comparison.matching import envelope_and_phase_error, match_modes
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
 from sim.comparison.results import DecayComparison, ModelDecay
 from sim.comparison.scores import (
-    SD_OF_90,
     Prediction,
     Samples,
     crps,
@@ -31,7 +30,7 @@ from sim.comparison.scores import (
     score_difference,
     score_sum,
 )
-from sim.damping import AIR_DRAG
+from sim.damping import AIR_DRAG, SD_OF_90
 from sim.dynamics import fitted_modes
 from tracker import Failure, FloatArray
 

@@ -26,8 +26,8 @@ from scipy.special import ndtr, ndtri
 
 from sim.beam import BeamModes
 from sim.comparison.problem import DecaySetting
-from sim.comparison.scores import SD_OF_90, correlated_square
-from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
+from sim.comparison.scores import correlated_square
+from sim.damping import SD_OF_90, DampingModel, GenericDamping, StillAir, WithAirDrag
 from sim.dynamics import FailedSimulation
 from tracker import Failure, FloatArray
 

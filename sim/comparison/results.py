@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.comparison.drag import DragFit, DragLimit
-from sim.comparison.scores import SD_OF_90, ScoreSum
-from sim.damping import DAMPING_MODELS
+from sim.comparison.scores import ScoreSum
+from sim.damping import DAMPING_MODELS, SD_OF_90
 from tracker import Column, FloatArray, table_row
 
 if TYPE_CHECKING:

@@ -25,9 +25,6 @@ from scipy.special import ndtr
 
 from tracker import FloatArray
 
-# half width of the central 90 % of a normal distribution, in standard deviations
-SD_OF_90 = 1.6448536269514722
-
 Score = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 

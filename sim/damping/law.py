@@ -51,6 +51,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+# Half width of the central 90 % interval of a normal distribution, in standard deviations.
 SD_OF_90 = 1.6448536269514722
 _NOTHING = (float("nan"),) * 3
 
@@ -217,7 +218,7 @@ class _Posterior:
                 1.0 / (total + own),
             )
             log += 0.5 * ((total + own) * self._mean**2 - own * centre**2 - np.log((total + own) / own))
-        self.log_evidence = log_sum(log)
+        self.log_evidence = float(np.logaddexp.reduce(log, axis=None))
         self._weight = np.exp(log - self.log_evidence)
 
     def moments(self, omega: float, *, scatter: bool = False) -> tuple[float, float]:
@@ -248,12 +249,6 @@ def log_data(measured: MeasuredDamping) -> tuple[FloatArray, FloatArray, FloatAr
         raise ValueError(msg)
     sd = np.array(measured.damping_sd) if measured.damping_sd else np.zeros_like(zeta)
     return 2.0 * np.pi * np.array(measured.frequency_hz), np.log(zeta), sd / zeta
-
-
-def log_sum(log: FloatArray) -> float:
-    """Logarithm of the sum of the exponentials."""
-    top = float(np.max(log))
-    return top + float(np.log(np.sum(np.exp(log - top))))
 
 
 def scatters() -> FloatArray:

@@ -55,14 +55,18 @@ class DampingParts:
     value: FloatArray
     sd: FloatArray
 
+    @property
+    def interval_90(self) -> tuple[FloatArray, FloatArray]:
+        """5 % and 95 % quantile, each of shape (4, n)."""
+        return self.value - SD_OF_90 * self.sd, self.value + SD_OF_90 * self.sd
+
     def rows(self) -> list[dict[str, Any]]:
         """One row per mode and part, with the columns of ``damping_parts.csv``."""
+        table = np.stack([self.value, self.sd, *self.interval_90], axis=2)
         found = [
-            (number, part, value, sd, value - SD_OF_90 * sd, value + SD_OF_90 * sd)
-            for number, values, sds in zip(
-                self.numbers, self.value.T.tolist(), self.sd.T.tolist(), strict=True
-            )
-            for part, value, sd in zip(PARTS, values, sds, strict=True)
+            (number, part, *row)
+            for k, number in enumerate(self.numbers)
+            for part, row in zip(PARTS, table[:, k].tolist(), strict=True)
         ]
         return [dict(zip((one.name for one in PART_COLUMNS), row, strict=True)) for row in found]
 

@@ -23,7 +23,11 @@ from tracker import FloatArray
 class SumOfLaws(ParametricLaw):
     """Sum of two laws without a parameter beside the level; a computed one is the second."""
 
-    def __init__(self, first: ParametricLaw, second: ParametricLaw) -> None:
+    def __init__(self, *entries: DampingModelEntry) -> None:
+        first, second = (entry.law for entry in entries)
+        if not (isinstance(first, ParametricLaw) and isinstance(second, ParametricLaw)):
+            msg = f"expected two laws of a level, got {[entry.key for entry in entries]}"
+            raise TypeError(msg)
         self._laws, self.free_level = (first, second), second.free_level
         self.shape_name = "log ratio" if self.free_level else "log level" if first.free_level else ""
 
@@ -50,11 +54,11 @@ class SumOfLaws(ParametricLaw):
 def _sum(first: DampingModelEntry, second: DampingModelEntry, at: int) -> DampingModelEntry:
     name = f"{first.name} and {second.name}"
     colours = (f"#{90 + 7 * at:02x}5a{154 - 9 * at:02x}", f"#{176 + 6 * at:02x}c4{240 - 9 * at:02x}")
-    key, law = f"{first.key}_and_{second.key}", SumOfLaws(first.law, second.law)  # type: ignore[arg-type]
+    key, law = f"{first.key}_and_{second.key}", SumOfLaws(first, second)
     return law_entry(key, name, f"Sum of {name}.", colours, law, draw_stride=8)
 
 
 _PARTS = (MASS, CONSTANT, KELVIN_VOIGT, VISCOUS_AIR, THERMOELASTIC)
 _PAIRS = (pair for pair in combinations(_PARTS, 2) if pair != (MASS, KELVIN_VOIGT))
 SUMS = tuple(_sum(*pair, at) for at, pair in enumerate(_PAIRS))
-MASS_AND_STIFFNESS = SumOfLaws(MASS.law, KELVIN_VOIGT.law)  # type: ignore[arg-type] # the law of Rayleigh's entry
+MASS_AND_STIFFNESS = SumOfLaws(MASS, KELVIN_VOIGT)  # the law of Rayleigh's entry

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.damping.law import SD_OF_90, TUNING, DampingLaw, LawFit, LeftOut, log_data, log_sum, scatters
+from sim.damping.law import SD_OF_90, TUNING, DampingLaw, LawFit, LeftOut, log_data, scatters
 from tracker import FloatArray
 
 if TYPE_CHECKING:
@@ -53,7 +53,8 @@ class ThroughAllModes(DampingLaw):
         variance = np.add.outer(scatters() ** 2, relative_sd[rest] ** 2) @ parts**2 + (scatters() * mean) ** 2
         density = _log_normal(zeta[at], mean, np.sqrt(variance + (relative_sd[at] * zeta[at]) ** 2)) + y[at]
         reach = SD_OF_90 * float(np.sqrt(np.mean(variance)))
-        return LeftOut(log_sum(density) - float(np.log(density.size)), mean, mean - reach, mean + reach)
+        log_mean = float(np.logaddexp.reduce(density) - np.log(density.size))
+        return LeftOut(log_mean, mean, mean - reach, mean + reach)
 
 
 def _log_normal(value: FloatArray, mean: float, sd: FloatArray) -> FloatArray:
