@@ -130,11 +130,16 @@ def fit_decays(
 
 
 def _with_drives(pieces: tuple[Piece, ...]) -> list[Piece]:
-    """The pieces of a divided decay in order of time; a steady one before a change is driven."""
+    """The pieces of a divided decay in order of time; a steady one before a change is driven.
+
+    That from the user's onset is free, as the user says.
+    """
     found = list(pieces)
     for k, (one, follows) in enumerate(pairwise(pieces)):
         model = None if follows.fit is None else follows.fit.model
-        if one.fit is not None and keeps_amplitude(one.fit.model, model):
+        if one.fit is None or one.fit.onset.source == "user":
+            continue
+        if keeps_amplitude(one.fit.model, model):
             note = "The motion is steady until it changes."
             found[k] = replace(one, segment=replace(one.segment, kind="driven", note=note))
     return found
