@@ -84,7 +84,8 @@ def assemble(
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes, rate_hz)
-    clock = conversion(model, steady_noise=outliers <= MANY_OUTLIERS)
+    predicted = series.position_errors is not None and series.position_errors.predicted
+    clock = conversion(model, steady_noise=outliers <= MANY_OUTLIERS, predicted=predicted)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
     for index, outcome in enumerate(sampled):

@@ -10,6 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.fit import ModalFit
 from modal_id.flags import RATE_CONVERTED_NOTE
+from modal_id.modes.frame_clock import TUNING as CLOCK
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
 from tracker import BoolArray, FloatArray
 
@@ -112,7 +113,7 @@ class Conversion:
         )
 
 
-def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
+def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conversion | None:
     """The conversion that explains a decay clearly better than evenly spaced frames; None where there is none.
 
     Parameters
@@ -120,6 +121,9 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     steady_noise : bool
         Whether the noise is the same throughout, without clusters of outliers; only then its variance tells of blended
         frames.
+    predicted : bool
+        Whether a codec predicted frames from others: every other one, by turns that change at key frames. Blended
+        frames that alternate with others, as from half the rate, are not told from these.
 
     Notes
     -----
@@ -153,6 +157,8 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     patterns = _lines(record, even.residual * displacement)
     patterns += _lines(record, even.residual**2 - 1.0) if steady_noise else []
     patterns += _patterns_of_modes(record)
+    if predicted:
+        patterns = [one for one in patterns if (0.5 - one) * record.length > CLOCK.separate_bins]
     even = replace(even, cost=any_variance_cost(record, even)) if steady_noise else even
     return _best(record, even, "blended", patterns)
 

@@ -137,7 +137,7 @@ def test_a_motion_whose_phase_jumps_has_no_damping_ratio():
 
 @pytest.mark.parametrize(("onset", "kind"), [(record_start(0.0), "driven"), (user_onset(0.0), "decay")])
 def test_a_motion_that_hardly_decays_is_driven_unless_the_user_calls_it_free(onset, kind):
-    """A line of 9.2 Hz without damping until a pluck: 58 cycles in noise of 20 % cannot tell a zeta of 1e-4 from none."""
+    """A line without damping until a pluck: 58 cycles in noise of 20 % cannot tell a zeta of 1e-4 from none."""
     since = np.clip(T - CHANGE_S, 0.0, None)
     values = np.where(T < CHANGE_S, decay(T, 9.2, 0.0, 1.0, 0.0), decay(since, 9.2, 0.01, 2.0, 2.2))
     series = series_of(T, values + 0.2 * np.random.default_rng(4).standard_normal(T.size))
