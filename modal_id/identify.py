@@ -25,7 +25,7 @@ from modal_id.flags import ModeFlag
 from modal_id.modes import (
     FittedDecay,
     combine_decays,
-    does_not_decay,
+    grows,
     most_informative,
     without_faint,
     without_held,
@@ -217,22 +217,22 @@ def _of_decays(
     decays: tuple[FittedDecay, ...],
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
+    """Modes of the most informative decay, averaged with the same ones of others; or driven motion."""
     for chosen, note in ((without_faint, _FAINT), (without_held, _HELD)):
         kept = chosen(decays)
         segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], note)
         decays = kept
     position = most_informative(decays)
     main = decays[position]
-    if all(does_not_decay(one) for one in decays):
+    if all(grows(one) for one in decays):
         return _driven(series, settings, used, main, segments)
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
     # Where another part is driven, the drive may have changed; one that ends abruptly may have stopped.
-    other = any(s.kind == "driven" for s in segments)
+    part_is_driven = any(s.kind == "driven" for s in segments)
     later = [s for s in segments if s.start_s >= main.end_s]
-    stopped = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
-    if is_driven(driven, stopped=stopped) or (other and is_rather_driven(driven)):
+    ends_abruptly = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
+    if is_driven(driven, stopped=ends_abruptly) or (part_is_driven and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
     if may_be_driven(driven):
         found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))

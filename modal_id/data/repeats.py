@@ -206,7 +206,7 @@ def sampled_rows(series: DisplacementSeries) -> tuple[NDArray[np.intp], int] | N
 
 
 def of_rows(series: DisplacementSeries, rows: NDArray[np.intp]) -> DisplacementSeries:
-    """The series with these rows only."""
+    """The series with these rows only, without its measured input, which has no fewer rows."""
     base, base_sd = (None if x is None else x[rows] for x in (series.base, series.base_sd))
     return replace(
         series,
@@ -215,6 +215,7 @@ def of_rows(series: DisplacementSeries, rows: NDArray[np.intp]) -> DisplacementS
         sd=series.sd[rows],
         base=base,
         base_sd=base_sd,
+        known_input=None,
     )
 
 

@@ -19,7 +19,7 @@ from .converted_rate import conversion as conversion
 from .converted_rate import least_gain as least_gain
 from .decays import FittedDecay as FittedDecay
 from .decays import combine_decays as combine_decays
-from .decays import does_not_decay as does_not_decay
+from .decays import grows as grows
 from .decays import held_decays as held_decays
 from .decays import held_odds as held_odds
 from .decays import most_informative as most_informative

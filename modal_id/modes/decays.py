@@ -133,7 +133,7 @@ class FittedDecay:
         return own if self.to_channels is None else own @ self.to_channels.T
 
 
-def does_not_decay(one: FittedDecay) -> bool:
+def grows(one: FittedDecay) -> bool:
     """Whether the strongest motion grows by at least two standard deviations of its rate."""
     fit = one.model.fit
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))

@@ -1,11 +1,14 @@
 """Series that hold each sample: the lowest alias, flagged with the others; and series that do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kit.series import QUICK, pole_of, series_of
 
 from modal_id import IdentifySettings, ModeFlag, identify
 from modal_id.data import sampled_rows
+from tracker import KnownInput
 
 
 def held_decay(seed, *, empty=False):
@@ -45,6 +48,14 @@ def test_the_lowest_alias_is_found_and_flagged():
 @pytest.mark.slow  # the reduced version is above
 def test_ninety_held_series_are_right_and_flagged():
     check(range(90))
+
+
+def test_an_input_that_is_not_used_has_all_rows():
+    """An input beside held samples, with the request to ignore it: once refused for its number of rows."""
+    series, hz, _ = held_decay(4)
+    beside = KnownInput("base", np.zeros(series.time_s.size), "mm")
+    found = identify(replace(series, known_input=beside), IdentifySettings(sampler=QUICK, output_only=True))
+    assert abs(found.target.frequency_hz - hz) < max(5.0 * found.target.frequency_sd_hz, 1e-3 * hz)
 
 
 def test_series_that_hold_nothing_are_used_whole():
