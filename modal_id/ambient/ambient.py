@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.ambient.bands import TUNING as BANDS
-from modal_id.ambient.bands import Band, Peak, band_data, bands_of, find_peaks_of, singular_values
+from modal_id.ambient.bands import Band, Peak, Tail, band_data, bands_of, find_peaks_of, singular_values
 from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandFit, spectrum
-from modal_id.ambient.order import TUNING as ORDER
-from modal_id.ambient.order import Order, choose_order, log_odds_over_tails, shares
+from modal_id.ambient.order import Order, choose_order, shares
 from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
 from modal_id.fit import nyquist_hz, stability_diagram
@@ -75,16 +74,18 @@ class Tuning:
     #: [1] factor on the width of a peak whose band holds no mode at first
     #: physics: The width may be that of a lobe of noise.
     wider: float = 4.0
-    #: [1] factor on the sd of a frequency
-    #: measurement: Errors over the sd have an rms of 1.15 in 20 simulated records of four modes, alike for all damping
-    #: ratios: skirts of other modes tilt a peak more than the background of a band can follow.
-    frequency_factor: float = 1.15
-    #: [modes] number of modes of other bands whose tails may be what a band shows
+    #: [modes] number of modes of other bands whose tails are part of the model of a band
     #: physics: One on each side; those beyond are weaker and change less.
     tails: int = 2
     #: [rounds] number of times that bands are chosen by the damping ratios fitted before
-    #: measurement: With two, the weaker of two modes 3 % apart was seen in the last but one, and lost.
-    rounds: int = 3
+    #: measurement: With one less, the weaker of two modes 3 % apart was seen in the last wide one, and lost.
+    rounds: int = 4
+    #: [rounds] number of the last rounds, whose bands are narrow and have tails
+    #: physics: What is no mode beside the tails of others may have had a tail itself.
+    narrow: int = 2
+    #: [1] relative difference in frequency of the tails of a band, below which it is not fitted again
+    #: physics: A tail hardly changes with it; the tail of another mode does.
+    same_tail: float = 0.01
     #: [1] change of the limits of a band over its width, below which it is not fitted again
     same_band: float = 0.1
     #: [1] sd of ln zeta from which a mode is not determined
@@ -155,7 +156,6 @@ def identify_ambient(
     modes = [
         _mode(found, one.band, one.order.fit, index, one.order.log_odds[index], one.order.misfit)
         for one in fitted
-        if not _is_tail(one, fitted)
         for index in np.flatnonzero(one.stands_out & one.fits_in).tolist()
     ]
     modes.sort(key=lambda one: one.frequency_hz)
@@ -180,6 +180,7 @@ class _Fitted:
 
     band: Band
     order: Order
+    tails: tuple[Tail, ...]
 
     @property
     def stands_out(self) -> BoolArray:
@@ -196,73 +197,82 @@ class _Fitted:
         hz, half_hz = np.exp(model.log_hz).tolist(), np.exp(model.log_hz + model.log_zeta).tolist()
         return [Peak(f, half, 0.0) for f, half in zip(hz, half_hz, strict=True)]
 
-    def is_of(self, band: Band) -> bool:
-        """Whether a band is nearly this one."""
+    def tail(self, index: int) -> Tail:
+        """The mode with this index, for the bands beside."""
+        fit, peak = self.order.fit, self.peaks[index]
+        shape = fit.data.directions @ fit.model.shapes[:, index]
+        return Tail(peak.frequency_hz, peak.half_width_hz / peak.frequency_hz, shape)
+
+    def is_of(self, band: Band, tails: tuple[Tail, ...]) -> bool:
+        """Whether a band and the tails in it are nearly these."""
         width = band.high_hz - band.low_hz
         moved = abs(band.low_hz - self.band.low_hz) + abs(band.high_hz - self.band.high_hz)
-        return moved < TUNING.same_band * width and len(band.peaks) == int(np.sum(self.stands_out))
+        if len(tails) != len(self.tails) or moved > TUNING.same_band * width:
+            return False
+        changes = [a.frequency_hz / b.frequency_hz - 1.0 for a, b in zip(tails, self.tails, strict=True)]
+        same = all(abs(change) < TUNING.same_tail for change in changes)
+        return same and len(band.peaks) == int(np.sum(self.stands_out))
 
 
 def _bands(found: Spectrum) -> tuple[Spectrum, list[_Fitted], list[float]]:
     """The fitted bands, the spectrum without lines, and the frequencies of lines.
 
-    The first bands are those of the peaks; damping ratios that were fitted give the next ones. All but the last are
-    wide: a mode beside a stronger one may have no peak.
+    The first bands are those of the peaks; damping ratios that were fitted give the next ones. The first are wide: a
+    mode beside a stronger one may have no peak. The last are fitted again where a tail was that of no mode.
     """
     fitted = [_fitted(found, band) for band in bands_of(found, find_peaks_of(found), BANDS.first_reach)]
     lines_hz = []
     for further in reversed(range(TUNING.rounds)):
-        seen = []
+        wide = further >= TUNING.narrow
+        seen, tails = [], []
         for one in fitted:
             # A response as wide as its band allows is the mode itself in too narrow a band, or the background: a
             # second one is tried once in a wider band.
-            kept = one.stands_out & (one.fits_in | (one.order.fit.model.count == 1) | (further > 0))
-            for peak in (peak for peak, is_kept in zip(one.peaks, kept, strict=True) if is_kept):
+            kept = one.stands_out & (one.fits_in | (one.order.fit.model.count == 1) | wide)
+            for index in np.flatnonzero(kept).tolist():
+                peak = one.peaks[index]
                 if 2.0 * np.pi * peak.half_width_hz * found.span_s < TUNING.least_turns:
                     lines_hz.append(peak.frequency_hz)
                 else:
                     seen.append(peak)
+                    tails.append(one.tail(index))
         found = found.without(lines_hz)
+        bands = bands_of(found, seen, BANDS.first_reach if wide else 1.0)
+        asked = [(band, () if wide else _beside(band, tails)) for band in bands]
         fitted = [
-            next((one for one in fitted if one.is_of(band)), None) or _fitted(found, band)
-            for band in bands_of(found, seen, BANDS.first_reach if further else 1.0)
+            next((one for one in fitted if one.is_of(*both)), None) or _fitted(found, *both) for both in asked
         ]
     return found, fitted, lines_hz
 
 
-def _is_tail(band: _Fitted, fitted: list[_Fitted]) -> bool:
-    """Whether the strongest modes of other bands explain the modes of a band as well."""
-    middle_hz = np.sqrt(band.band.low_hz * band.band.high_hz)
-    beside = []
-    for other in (other for other in fitted if other is not band):
-        fit = other.order.fit
-        power = np.sum((fit.data.directions @ fit.model.shapes) ** 2, axis=0)
-        for index in np.flatnonzero(other.stands_out & other.fits_in).tolist():
-            hz, zeta = float(np.exp(fit.model.log_hz[index])), float(np.exp(fit.model.log_zeta[index]))
-            beside.append((float(power[index]) / (1.0 - (middle_hz / hz) ** 2) ** 2, hz, zeta))
-    if not beside or not (band.stands_out & band.fits_in).any():
-        return False
-    strongest = [(hz, zeta) for _, hz, zeta in sorted(beside)[-TUNING.tails :]]
-    return log_odds_over_tails(band.order.fit, strongest) < ORDER.least_log_odds
+def _beside(band: Band, modes: list[Tail]) -> tuple[Tail, ...]:
+    """The modes beside a band that are the strongest in it."""
+    middle_hz = np.sqrt(band.low_hz * band.high_hz)
+    inside = {peak.frequency_hz for peak in band.peaks}
+    beside = [
+        (float(np.sum(one.shape**2)) / (1.0 - (middle_hz / one.frequency_hz) ** 2) ** 2, index)
+        for index, one in enumerate(modes)
+        if one.frequency_hz not in inside
+    ]
+    return tuple(modes[index] for _, index in sorted(beside)[-TUNING.tails :])
 
 
-def _fitted(found: Spectrum, band: Band) -> _Fitted:
+def _fitted(found: Spectrum, band: Band, tails: tuple[Tail, ...] = ()) -> _Fitted:
     known = [(peak.frequency_hz, peak.half_width_hz) for peak in band.peaks]
-    data = band_data(found, band, known)
+    data = band_data(found, band, known, tails)
     log_places = max(float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz))), 0.0)
     order = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
     if order.fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
         wider = band.peaks[0]._replace(half_width_hz=TUNING.wider * band.peaks[0].half_width_hz, strength=0.0)
-        return _fitted(found, bands_of(found, [wider])[0])
-    return _Fitted(band, order)
+        return _fitted(found, bands_of(found, [wider])[0], tails)
+    return _Fitted(band, order, tails)
 
 
 def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float, misfit: float) -> _Found:
     model, covariance, directions = fit.model, fit.covariance, fit.data.directions
     m, r = model.count, model.exponents.size
     own = [index, m + index]
-    first = 2 * m + m * (m - 1)
-    of_shape = first + m * np.arange(r) + index
+    of_shape = model.ends[4] + m * np.arange(r) + index
     vector = model.shapes[:, index]
     # Across the shape: its size is the spectral density of the force, and no property of the shape.
     shape = directions @ vector
@@ -275,8 +285,7 @@ def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float
     basis = np.linalg.qr(directions)[0]
     least = float(np.min(np.maximum(np.linalg.eigvalsh(basis.T @ spread @ basis)[min(1, r - 1)], 0.0)))
     beyond = np.maximum(1.0 - np.sum(basis**2, axis=1), 0.0) * least
-    widening = np.array([TUNING.frequency_factor, 1.0])
-    own_covariance = covariance[np.ix_(own, own)] * np.outer(widening, widening)
+    own_covariance = covariance[np.ix_(own, own)]
     # The likelihood is normal in the logarithms; a prior that is flat in f and zeta, as for decays, moves its centre.
     hz, zeta = np.exp(model.vector[own] + own_covariance.sum(axis=1)).tolist()
     # As the amplitude of a sinusoid of the same power.
@@ -373,11 +382,12 @@ def _assembled(
 
 
 def _posterior(one: _Found, index: int, settings: IdentifySettings) -> Posterior:
-    """Independent draws, normal in ln f and ln zeta."""
+    """Independent draws: ln zeta is normal, and so is ln f for each zeta, with an sd that grows with its root."""
     ensembles = settings.sampler.ensembles
     sequence = np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index))
     normal = np.random.default_rng(sequence).standard_normal((ensembles, TUNING.draws, 2))
     logs = normal @ np.linalg.cholesky(one.covariance).T
+    logs[..., 0] *= np.exp(0.5 * logs[..., 1])
     sd = np.sqrt(np.diag(one.covariance))
     count = float(ensembles * TUNING.draws)
     return Posterior(

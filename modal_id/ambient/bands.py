@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from modal_id.ambient.model import BandData
-from modal_id.ambient.spectrum import Spectrum
+from modal_id.ambient.spectrum import Spectrum, transfer
 from tracker import ComplexArray, FloatArray
 
 
@@ -72,6 +73,14 @@ class Band(NamedTuple):
     low_hz: float
     high_hz: float
     peaks: tuple[Peak, ...]
+
+
+class Tail(NamedTuple):
+    """Frequency in Hz, damping ratio and shape, shape (k,), times the root of the force's density, of a mode."""
+
+    frequency_hz: float
+    damping_ratio: float
+    shape: FloatArray
 
 
 class SingularValues(NamedTuple):
@@ -200,10 +209,13 @@ def bands_of(spectrum: Spectrum, peaks: list[Peak], factor: float = 1.0) -> list
     return bands
 
 
-def band_data(spectrum: Spectrum, band: Band, modes: list[tuple[float, float]]) -> BandData:
+def band_data(
+    spectrum: Spectrum, band: Band, modes: list[tuple[float, float]], tails: Sequence[Tail]
+) -> BandData:
     """Sums of the periodogram of a band.
 
-    `modes` are (frequency, half-width) in Hz of those known so far: near them, no frequencies are summed.
+    `modes` are (frequency, half-width) in Hz of those known so far: near them, no frequencies are summed. `tails` are
+    modes beside the band.
     """
     inside = (spectrum.frequency_hz >= band.low_hz) & (spectrum.frequency_hz <= band.high_hz)
     frequency_hz, values = spectrum.frequency_hz[inside], spectrum.values[inside]
@@ -213,13 +225,17 @@ def band_data(spectrum: Spectrum, band: Band, modes: list[tuple[float, float]]) 
     directions = _directions(values, np.add.reduceat(total, starts), starts)
     seen = values @ directions
     products = seen[:, :, None] * np.conj(seen[:, None, :])
+    mean_hz = np.add.reduceat(frequency_hz, starts) / bins
+    responses = [transfer(mean_hz, tail[0], tail[1], spectrum.samples, spectrum.step_s) for tail in tails]
     return BandData(
-        np.add.reduceat(frequency_hz, starts) / bins,
+        mean_hz,
         bins,
         np.add.reduceat(products, starts, axis=0),
         spectrum.samples,
         spectrum.step_s,
         directions,
+        directions.T @ np.array([tail.shape for tail in tails]).reshape(len(tails), directions.shape[0]).T,
+        np.array(responses, dtype=complex).reshape(len(tails), bins.size).T,
     )
 
 

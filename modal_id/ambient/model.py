@@ -34,6 +34,9 @@ class Tuning:
     #: [1] prior sd of the coherence of a mode's force with the background
     #: physics: Forces of different modes are partly coherent.
     coherent_sd: float = 0.5
+    #: [1] prior sd of the logarithm of the amplitude of a mode beside the band, over that found in its own
+    #: physics: The spectrum of the force is that at another frequency; its displacement counts by its square root.
+    tail_sd: float = 0.5
     #: [1] largest exponent
     #: physics: That of a displacement far above a resonance.
     most_exponent: float = 4.0
@@ -70,6 +73,10 @@ class BandData:
         Of the record.
     directions : array, shape (k, r)
         Values of the channels for a unit of each direction.
+    tail_shapes : array, shape (r, t)
+        As `BandModel.shapes`, of modes beside the band.
+    tail_responses : complex array, shape (g, t)
+        Their receptances in the band.
     log_det : float
         Logarithm of the determinant of the change of directions since the first ones.
     """
@@ -80,6 +87,8 @@ class BandData:
     samples: int
     step_s: float
     directions: FloatArray
+    tail_shapes: FloatArray
+    tail_responses: ComplexArray
     log_det: float = 0.0
 
     @property
@@ -99,27 +108,31 @@ class BandData:
             self,
             cross=matrix @ self.cross @ matrix.T,
             directions=self.directions @ np.linalg.inv(matrix),
+            tail_shapes=matrix @ self.tail_shapes,
             log_det=self.log_det + float(np.linalg.slogdet(matrix)[1]),
         )
 
 
 @dataclass(frozen=True)
 class BandModel:
-    """m modes and a background: ``E = G G*``, ``G = [P diag(h) L + B K, B]``, ``B = Q diag((f / f0)^(a / 2))``.
+    """n modes and a background: ``E = G G*``, ``G = [P diag(h) L + B K, B]``, ``B = Q diag((f / f0)^(a / 2))``.
 
-    The background is noise, and the responses of modes outside the band, whose shapes are real and whose phase does not
+    The first t modes are tails: modes beside the band, whose poles and shapes are known. The other m are in the band.
+    The background is noise, and the responses of modes further away, whose shapes are real and whose phase does not
     change in the band: ``B B^T`` is a real matrix of any rank. Their forces may be coherent with those in the band, by
     K: left out, the interference is taken for further modes of large damping.
 
     Attributes
     ----------
     log_hz, log_zeta : array, shape (m,)
-    mixing : complex array, shape (m, m)
+    gains : array, shape (t,)
+        Logarithms of the amplitudes of the tails over those found in their own bands.
+    mixing : complex array, shape (n, n)
         Below the diagonal, the free numbers of L, whose rows have length 1: ``L L*`` is the coherence of the forces.
     shapes : array, shape (r, m)
-        P: square root of the spectral density of a mode's force times its shape, so that no norm needs to be kept.
+        Columns of P: square root of the spectral density of a mode's force times its shape, without a norm.
     coherent : complex array, shape (r, m)
-        K.
+        K, without the zeros of the tails.
     floor : array, shape (r, r)
         Q, lower triangular.
     exponents : array, shape (r,)
@@ -128,6 +141,7 @@ class BandModel:
 
     log_hz: FloatArray
     log_zeta: FloatArray
+    gains: FloatArray
     mixing: ComplexArray
     shapes: FloatArray
     coherent: ComplexArray
@@ -140,14 +154,20 @@ class BandModel:
         return self.log_hz.size
 
     @property
+    def total(self) -> int:
+        """Number of modes with the tails."""
+        return self.gains.size + self.count
+
+    @property
     def vector(self) -> FloatArray:
         """All parameters: of the modes, then of the background."""
-        free = self.mixing[_below(self.count, -1)]
+        free = self.mixing[_below(self.total, -1)]
         of_floor = self.floor[_below(self.exponents.size, 0)]
         k = self.coherent
         parts = [
             self.log_hz,
             self.log_zeta,
+            self.gains,
             free.real,
             free.imag,
             self.shapes.ravel(),
@@ -156,23 +176,29 @@ class BandModel:
         ]
         return np.concatenate([*parts, of_floor, self.exponents])
 
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Where the parts of `vector` end: f, zeta, gains, both parts of L, P, both parts of K, Q."""
+        m, n, r = self.count, self.total, self.exponents.size
+        pairs = n * (n - 1) // 2
+        sizes = [m, m, self.gains.size, pairs, pairs, r * m, r * m, r * m, r * (r + 1) // 2]
+        return tuple(np.cumsum(sizes).tolist())
+
     def at(self, vector: FloatArray) -> BandModel:
         """The model with these parameters."""
-        m, r = self.count, self.exponents.size
-        pairs = m * (m - 1) // 2
-        sizes = [m, m, pairs, pairs, r * m, r * m, r * m, r * (r + 1) // 2]
-        hz, zeta, real, imag, shapes, k_real, k_imag, of_floor, exponents = np.split(vector, np.cumsum(sizes))
-        mixing, floor = np.zeros((m, m), dtype=complex), np.zeros((r, r))
-        mixing[_below(m, -1)] = real + 1j * imag
+        m, n, r = self.count, self.total, self.exponents.size
+        hz, zeta, gains, real, imag, shapes, k_real, k_imag, of_floor, exponents = np.split(vector, self.ends)
+        mixing, floor = np.zeros((n, n), dtype=complex), np.zeros((r, r))
+        mixing[_below(n, -1)] = real + 1j * imag
         floor[_below(r, 0)] = of_floor
         coherent = (k_real + 1j * k_imag).reshape(r, m)
-        return BandModel(hz, zeta, mixing, shapes.reshape(r, m), coherent, floor, exponents)
+        return BandModel(hz, zeta, gains, mixing, shapes.reshape(r, m), coherent, floor, exponents)
 
     def with_mode(self, hz: float, zeta: float, shape: FloatArray) -> BandModel:
         """The model with one more mode, whose force is not coherent with the others."""
-        m = self.count
-        mixing = np.zeros((m + 1, m + 1), dtype=complex)
-        mixing[:m, :m] = self.mixing
+        n = self.total
+        mixing = np.zeros((n + 1, n + 1), dtype=complex)
+        mixing[:n, :n] = self.mixing
         return replace(
             self,
             log_hz=np.append(self.log_hz, np.log(hz)),
@@ -185,17 +211,17 @@ class BandModel:
     @property
     def prior(self) -> FloatArray:
         """Inverse variances of the normal priors of all parameters, 0 where there is none."""
-        m, r = self.count, self.exponents.size
-        first = m * (m + 1) + 3 * r * m
-        inverse = np.zeros(first + r * (r + 3) // 2)
-        inverse[-r:] = TUNING.exponent_sd**-2
-        inverse[first - 2 * r * m : first] = TUNING.coherent_sd**-2
+        _, zeta, gains, _, _, shapes, _, k_imag, of_floor = self.ends
+        inverse = np.zeros(of_floor + self.exponents.size)
+        inverse[zeta:gains] = TUNING.tail_sd**-2
+        inverse[shapes:k_imag] = TUNING.coherent_sd**-2
+        inverse[of_floor:] = TUNING.exponent_sd**-2
         return inverse
 
     @property
     def lower(self) -> ComplexArray:
-        """L, shape (m, m)."""
-        raw = np.tril(self.mixing, -1) + np.eye(self.count)
+        """L, shape (n, n)."""
+        raw = np.tril(self.mixing, -1) + np.eye(self.total)
         return np.asarray(raw / np.linalg.norm(raw, axis=1, keepdims=True))
 
 
@@ -207,12 +233,17 @@ def _below(size: int, diagonal: int) -> tuple[NDArray[np.intp], NDArray[np.intp]
 
 
 def responses(model: BandModel, data: BandData) -> ComplexArray:
-    """Receptance of each mode, shape (g, m)."""
+    """Receptance of each mode, tails first, shape (g, n)."""
     columns = [
         transfer(data.frequency_hz, float(np.exp(hz)), float(np.exp(zeta)), data.samples, data.step_s)
         for hz, zeta in zip(model.log_hz, model.log_zeta, strict=True)
     ]
-    return np.stack(columns, axis=1) if columns else np.zeros((data.frequency_hz.size, 0), dtype=complex)
+    return np.column_stack([data.tail_responses * np.exp(model.gains), *columns])
+
+
+def _shapes(model: BandModel, data: BandData) -> FloatArray:
+    """P, shape (r, n)."""
+    return np.column_stack([data.tail_shapes, model.shapes])
 
 
 def spectrum(model: BandModel, data: BandData) -> ComplexArray:
@@ -228,9 +259,15 @@ def _spectrum(model: BandModel, data: BandData, response: ComplexArray) -> Compl
 
 
 def _factors(model: BandModel, data: BandData, response: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """The columns of G of the modes, shape (g, r, m), and of the background, shape (g, r, r)."""
+    """The columns of G of the modes, shape (g, r, n), and of the background, shape (g, r, r)."""
     background = model.floor * _powers(model, data)[:, None, :]
-    return (model.shapes * response[:, None, :]) @ model.lower + background @ model.coherent, background
+    modes = (_shapes(model, data) * response[:, None, :]) @ model.lower
+    return modes + background @ _coherent(model), background
+
+
+def _coherent(model: BandModel) -> ComplexArray:
+    """K, shape (r, n)."""
+    return np.column_stack([np.zeros((model.exponents.size, model.gains.size)), model.coherent])
 
 
 def _powers(model: BandModel, data: BandData) -> FloatArray:
@@ -269,8 +306,7 @@ class BandFit:
     @cached_property
     def log_coherences(self) -> float:
         """Logarithm of the volume of the coherences with the background, over that of their prior."""
-        m, r = self.model.count, self.data.size
-        own = slice(m * (m + 1) + r * m, m * (m + 1) + 3 * r * m)
+        own = slice(self.model.ends[5], self.model.ends[7])
         return 0.5 * float(np.linalg.slogdet(self.covariance[own, own] / TUNING.coherent_sd**2)[1])
 
 
@@ -368,29 +404,32 @@ def _score(model: BandModel, data: BandData) -> tuple[FloatArray, FloatArray]:
 def _mode_changes(
     model: BandModel, data: BandData, response: ComplexArray, inverse: ComplexArray
 ) -> list[ComplexArray]:
-    """Derivatives of G's columns of the modes by the parameters of the modes, whitened, shape (g, r, m) each."""
-    m, (g, r) = model.count, data.cross.shape[:2]
-    lower, white_shapes = model.lower, inverse @ model.shapes
+    """Derivatives of G's columns of the modes by the parameters of the modes, whitened, shape (g, r, n) each."""
+    m, t, (g, r) = model.count, model.gains.size, data.cross.shape[:2]
+    lower, white_shapes = model.lower, inverse @ _shapes(model, data)
     inner = response[:, :, None] * lower
     changes = [
-        white_shapes[:, :, mode, None] * (slope[:, None, None] * lower[mode])
+        white_shapes[:, :, t + mode, None] * (slope[:, None, None] * lower[t + mode])
         for slopes in zip(*(_response_slopes(model, data, mode) for mode in range(m)), strict=True)
         for mode, slope in enumerate(slopes)
     ]
-    rows, columns = _below(m, -1)
+    changes += [white_shapes[:, :, tail, None] * inner[:, None, tail, :] for tail in range(t)]
+    rows, columns = _below(model.total, -1)
     for unit in (1.0, 1j):
         for i, j in zip(rows, columns, strict=True):
             moved = model.mixing.copy()
             moved[i, j] += TUNING.difference * unit
             slope = (replace(model, mixing=moved).lower - lower) / TUNING.difference
             changes.append((white_shapes * response[:, None, :]) @ slope)
-    changes += [inverse[:, :, row, None] * inner[:, None, mode, :] for row in range(r) for mode in range(m)]
+    changes += [
+        inverse[:, :, row, None] * inner[:, None, t + mode, :] for row in range(r) for mode in range(m)
+    ]
     white = inverse @ (model.floor * _powers(model, data)[:, None, :])
     for unit in (1.0, 1j):
         for row in range(r):
             for mode in range(m):
-                change = np.zeros((g, r, m), dtype=complex)
-                change[:, :, mode] = unit * white[:, :, row]
+                change = np.zeros((g, r, t + m), dtype=complex)
+                change[:, :, t + mode] = unit * white[:, :, row]
                 changes.append(change)
     return changes
 
@@ -416,7 +455,7 @@ def _background_slopes(
     """Half of the whitened derivatives of E by Q and a; the rest is its adjoint. Shape (p, g, r, r)."""
     powers = _powers(model, data)
     # Column j of B stands in G as B [K, I].
-    whole = np.moveaxis(factor @ np.conj(model.coherent.T) + background, 2, 0)
+    whole = np.moveaxis(factor @ np.conj(_coherent(model).T) + background, 2, 0)
     rows, columns = _below(data.size, 0)
     left = np.moveaxis(inverse[:, :, rows] * powers[:, None, columns], 2, 0)
     of_floor = left[..., :, None] * np.conj(whole[columns])[..., None, :]

@@ -1,4 +1,4 @@
-"""Number of modes in a band, by the evidence for one more, and by what the tails of modes beside it explain."""
+"""Number of modes in a band, by the evidence for one more."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from itertools import combinations
 
 import numpy as np
 
-from modal_id.ambient.model import TUNING as MODEL
 from modal_id.ambient.model import BandData, BandFit, BandModel, fit_band, log_likelihood, responses, spectrum
-from modal_id.ambient.spectrum import transfer
 from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Evidence of a mode, and iteration of the tails."""
+    """Evidence of a mode."""
 
     #: [modes] most modes in a band
     most_modes: int = 4
@@ -51,11 +49,6 @@ class Tuning:
     #: [1] logarithm of the odds from which a mode is listed
     #: statistics: Odds of 0.9 against 0.1.
     least_log_odds: float = float(np.log(9.0))
-    #: [1] largest number of halvings of a step
-    halvings: int = 10
-    #: [1] gain in log likelihood that ends it
-    #: statistics: A tenth of the gain that moves a parameter by one sd.
-    converged: float = 0.05
 
 
 TUNING = Tuning()
@@ -107,7 +100,7 @@ def misfit_of(white: ComplexArray, bins: FloatArray, parameters: int) -> float:
 def shares(fit: BandFit) -> FloatArray:
     """Largest share of each mode in the power at a frequency in its own direction, shape (m,)."""
     model, data = fit.model, fit.data
-    power = np.abs(responses(model, data)) ** 2
+    power = np.abs(responses(model, data)[:, model.gains.size :]) ** 2
     inverse = np.real(np.linalg.inv(spectrum(model, data)))
     own = np.einsum("rm,grs,sm->gm", model.shapes, inverse, model.shapes, optimize=True)
     return np.asarray(np.max(power * own, axis=0, initial=0.0), dtype=np.float64)
@@ -124,9 +117,9 @@ def without_modes(data: BandData) -> BandModel:
     none, r = np.empty(0), data.size
     none_of = np.zeros((r, 0))
     floor = np.linalg.cholesky(floor)
-    return BandModel(
-        none, none, np.zeros((0, 0), complex), none_of, none_of.astype(complex), floor, np.zeros(r)
-    )
+    t = data.tail_shapes.shape[1]
+    mixing = np.zeros((t, t), dtype=complex)
+    return BandModel(none, none, np.zeros(t), mixing, none_of, none_of.astype(complex), floor, np.zeros(r))
 
 
 def choose_order(
@@ -153,21 +146,26 @@ def choose_order(
     number of its parameters times the logarithm of the number of frequencies, less `log_places`. Coherences with the
     background, which have a proper prior, count by Laplace's approximation: how much narrower they became.
     """
-    fit = fit_band(without_modes(data), data, limits_hz)
+    start = without_modes(data)
+    fit = fit_band(start, data, limits_hz)
     odds: list[float] = []
     total = float(np.sum(data.bins))
     while fit.model.count < TUNING.most_modes:
         best = None
-        # Twice the coherences with the modes so far, the shape, frequency and damping ratio.
-        price = 0.5 * (2 * fit.model.count + data.size + 2) * np.log(total) + log_places
-        guesses = [_from_peak(fit, *peak) for peak in _unexplained(fit.model, peaks)[: TUNING.peaks]]
+        # Twice the coherences with the modes so far and the tails, the shape, frequency and damping ratio.
+        price = 0.5 * (2 * fit.model.total + data.size + 2) * np.log(total) + log_places
+        # Without a mode, the tails were fitted to its peak.
+        model, own = (fit.model, fit.data) if fit.model.count else (start, data)
+        unexplained = _unexplained(model, peaks)[: TUNING.peaks]
+        guesses = [(_from_peak(model, own, *peak), own) for peak in unexplained]
+        further = []
         if fit.model.count or not guesses:
-            guesses += further_modes(fit, limits_hz, [half for _, half in peaks], price)
+            further += further_modes(fit, limits_hz, [half for _, half in peaks], price)
         if fit.model.count == 1 and Order(fit, ()).misfit > TUNING.pair_misfit:
-            guesses += pair_instead(fit, limits_hz)
-        for guess in guesses:
+            further += pair_instead(fit, limits_hz)
+        for guess, seen in (*guesses, *((one, fit.data) for one in further)):
             wanted = fit.log_likelihood + price if best is None else best.log_likelihood
-            trial = fit_band(guess, fit.data, limits_hz, wanted)
+            trial = fit_band(guess, seen, limits_hz, wanted)
             if best is None or trial.log_likelihood > best.log_likelihood:
                 best = trial
         if best is None:
@@ -187,10 +185,10 @@ def _unexplained(model: BandModel, peaks: list[tuple[float, float]]) -> list[tup
     return [(hz, half) for hz, half in peaks if not np.any(np.abs(known - hz) < 2.0 * half)]
 
 
-def _from_peak(fit: BandFit, hz: float, half_hz: float) -> BandModel:
+def _from_peak(model: BandModel, data: BandData, hz: float, half_hz: float) -> BandModel:
     """The model with a mode whose shape is the main direction of the motion near a peak."""
-    model, zeta = fit.model, half_hz / hz
-    return model.with_mode(hz, zeta, _shape_at(fit.data, spectrum(model, fit.data), hz, zeta))
+    zeta = half_hz / hz
+    return model.with_mode(hz, zeta, _shape_at(data, spectrum(model, data), hz, zeta))
 
 
 def _power(data: BandData, hz: FloatArray | float, zeta: FloatArray | float) -> FloatArray:
@@ -282,78 +280,3 @@ def pair_instead(single: BandFit, limits_hz: tuple[float, float]) -> list[BandMo
         if value > most:
             best, most = model, value
     return [] if best is None else [best]
-
-
-def log_odds_over_tails(fit: BandFit, beside: list[tuple[float, float]]) -> float:
-    """Logarithm of the odds of the modes of a band over the tails of modes beside it, by the Schwarz criterion of both.
-
-    Parameters
-    ----------
-    fit : BandFit
-    beside : list of (float, float)
-        Frequency in Hz and damping ratio of modes outside the band.
-
-    Notes
-    -----
-    Far from resonance a receptance h is real, and the spectrum of noise and of modes whose forces are coherent is
-    ``N + sum of h_i h_j S_ij`` with real symmetric matrices: two modes on both sides have a minimum between them, in a
-    direction that changes, which the power laws of a band's background do not follow. It is linear in the matrices,
-    whose likelihood is maximised by least squares that are weighted again in each step.
-    """
-    data, r = fit.data, fit.data.size
-    pairs = np.array(
-        [np.real(transfer(data.frequency_hz, *one, data.samples, data.step_s)) for one in beside]
-    )
-    rows, columns = np.triu_indices(len(beside))
-    factors = np.concatenate([np.ones((1, data.bins.size)), pairs[rows] * pairs[columns]])
-    factors /= np.linalg.norm(factors, axis=1)[:, None]
-    above, across = np.triu_indices(r)
-    basis = np.zeros((above.size, r, r))
-    basis[np.arange(above.size), above, across] = basis[np.arange(above.size), across, above] = 1.0
-    likelihood = _most_likely(data, factors, basis)
-    parameters = fit.model.vector.size - len(factors) * len(basis)
-    gain = _log_likelihood(spectrum(fit.model, data), data) - likelihood
-    return gain - 0.5 * parameters * float(np.log(np.sum(data.bins)))
-
-
-def _most_likely(data: BandData, factors: FloatArray, basis: FloatArray) -> float:
-    """Largest log likelihood of sums of factors, shape (c, g), times symmetric matrices, by Fisher scoring."""
-
-    def matrix(values: FloatArray) -> FloatArray:
-        matrices = np.tensordot(values.reshape(len(factors), -1), basis, 1)
-        return np.asarray(np.tensordot(factors.T, matrices, 1), dtype=np.float64)
-
-    mean = np.real(np.sum(data.cross, axis=0)) / np.sum(data.bins)
-    values = np.zeros(len(factors) * len(basis))
-    values[: len(basis)] = np.sum(mean * basis, axis=(1, 2)) / np.sum(basis, axis=(1, 2)) / factors[0, 0]
-    best = _log_likelihood(matrix(values), data)
-    seen = np.real(data.cross) / data.bins[:, None, None]
-    root = np.sqrt(data.bins)[:, None]
-    for _ in range(MODEL.steps):
-        inverse = np.linalg.inv(np.linalg.cholesky(matrix(values)))
-        white = inverse @ seen @ np.swapaxes(inverse, 1, 2)
-        terms = inverse[:, None] @ basis @ np.swapaxes(inverse, 1, 2)[:, None]
-        terms = terms.reshape(*terms.shape[:2], -1) * root[:, :, None]
-        design = np.moveaxis(factors.T[:, :, None, None] * terms[:, None], 3, 1)
-        design = design.reshape(design.shape[0] * design.shape[1], -1)
-        scale = np.linalg.norm(design, axis=0)
-        change = np.linalg.lstsq(design / scale, (white.reshape(len(white), -1) * root).ravel(), rcond=1e-10)
-        step, before = change[0] / scale - values, best
-        for halving in range(TUNING.halvings):
-            trial = values + 0.5**halving * step
-            reached = _log_likelihood(matrix(trial), data)
-            if reached > best:
-                best, values = reached, trial
-                break
-        if best - before < TUNING.converged:
-            break
-    return best
-
-
-def _log_likelihood(matrix: FloatArray | ComplexArray, data: BandData) -> float:
-    """Of the band, without priors and constants; minus infinity where a matrix is not positive."""
-    values = np.linalg.eigvalsh(matrix)
-    if not np.all(values > 0.0):
-        return -np.inf
-    fit = np.real(np.trace(np.linalg.solve(matrix, data.cross), axis1=1, axis2=2))
-    return float(-np.sum(data.bins * np.sum(np.log(values), axis=1) + fit))
