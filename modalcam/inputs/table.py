@@ -18,6 +18,8 @@ MAX_BYTES = 2_000_000_000
 TIME = "time_s"
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _SECONDS |= {"\u03bcs": 1e-6, "min": 60.0}
+# As NetCDF writes them.
+_SECONDS |= {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
 _TIME_NAMES = {"time", "t", "x_value", "elapsed time", "zeit", "temps", "tiempo", "tempo"}
 _COUNTER_NAMES = {"frame", "frames", "frame number", "sample", "index"}
 # A name with its unit: Time (s), Time [ms], t/s, time_ms.
@@ -35,7 +37,7 @@ class Table:
 
 
 def read_table(path: Path, rate_hz: float | None = None) -> Table:
-    """Columns of a text table (CSV, TSV, ...), LabVIEW measurement (.lvm), NumPy array (.npy) or MATLAB file (.mat).
+    """Columns of a text table (CSV, TSV, ...) or of a file of one of the formats in `TABLE_READERS`.
 
     A plugin adds others by `register_table_reader`.
 
