@@ -15,8 +15,8 @@ from modalcam.inputs.table_readers import UFF_ENDINGS
 from modalcam.inputs.uff import read_uff
 from modalcam.pipeline import Limits, TaskFailure, worker_pool
 
-# MATLAB and HDF5.
-_FRAGILE = (".mat", ".h5", ".hdf5", ".nc")
+# MATLAB and HDF5; a small workbook may hold any number of cells.
+_FRAGILE = (".mat", ".h5", ".hdf5", ".nc", ".xlsx")
 
 
 def motion_of(
@@ -43,7 +43,7 @@ def motion_of(
 
 
 def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
-    """Columns of a file; those of which a damaged one ends its reader by a signal, in another process."""
+    """Columns of a file; those of which a damaged one ends its reader, in another process."""
     if path.suffix.lower() not in _FRAGILE:
         return read_table(path, rate_hz)
     with worker_pool(1, limits) as pool:

@@ -11,6 +11,7 @@ from modalcam.inputs.array_files import read_mat, read_npy
 from modalcam.inputs.hdf5 import read_hdf5
 from modalcam.inputs.tdms import read_tdms
 from modalcam.inputs.text_table import read_lvm
+from modalcam.inputs.xlsx import read_xlsx
 
 UFF_ENDINGS = (".uff", ".unv", ".u58", ".uf")
 # From the path: columns by name, and sentences on what was taken for what; ValueError for other content.
@@ -23,6 +24,7 @@ TABLE_READERS: dict[str, TableReader] = {
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
     ".nc": read_hdf5,
+    ".xlsx": read_xlsx,
 }
 
 

@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.paths import APPS
 from support.worker_tasks import InThisProcess
@@ -112,6 +113,11 @@ def write_hdf5(path):
             file[name] = values
 
 
+def write_xlsx(path):
+    pytest.importorskip("openpyxl", reason="the extra modalcam[xlsx] is not installed")
+    pd.DataFrame(dict(zip(("time_s", "y"), decay_table(), strict=True))).to_excel(path, index=False)
+
+
 WRITERS = {
     "avi": lambda d: films.write(d / "take.avi", images()),
     "mp4": lambda d: films.write(d / "take.mp4", images(), codec="libx264"),
@@ -129,11 +135,12 @@ WRITERS = {
     "lvm": lambda d: write_lvm(d / "take.lvm"),
     "tdms": lambda d: write_tdms(d / "take.tdms"),
     "h5": lambda d: write_hdf5(d / "take.h5"),
+    "xlsx": lambda d: write_xlsx(d / "take.xlsx"),
     "npy": lambda d: np.save(d / "take.npy", np.column_stack(decay_table())),
     "state": lambda d: write_csv(d / "take.csv"),
 }
 TEXTS = ("toml", "csv", "uff", "lvm", "cih")
-IDENTIFIED = ("csv", "uff", "binary uff", "lvm", "tdms", "h5", "npy")
+IDENTIFIED = ("csv", "uff", "binary uff", "lvm", "tdms", "h5", "xlsx", "npy")
 
 
 @dataclass(frozen=True)
