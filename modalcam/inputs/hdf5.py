@@ -53,11 +53,9 @@ def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
 def _used(found: dict[str, Any]) -> dict[str, tuple[Any, int]]:
     """Datasets by their names, shortest that are unique, each with its axis of time."""
-    clocks = [v.size for n, v in found.items() if _last(n).lower() in TIME_NAMES and v.ndim == 1]
+    clocks = [v.size for n, v in found.items() if _is_time(n) and v.ndim == 1]
     length = max(clocks or [size for v in found.values() for size in v.shape], default=0)
-    used = {
-        n: v for n, v in found.items() if length in v.shape and (_last(n) in TIME_NAMES or not v.is_scale)
-    }
+    used = {n: v for n, v in found.items() if length in v.shape and (_is_time(n) or not v.is_scale)}
     if any(_last(n) == "position" for n in used):
         used = {n: v for n, v in used.items() if _last(n) != "confidence"}
     if not 0 < (count := sum(v.size for v in used.values())) <= MOST_VALUES:
@@ -66,7 +64,7 @@ def _used(found: dict[str, Any]) -> dict[str, tuple[Any, int]]:
     names, placed = [_last(n) for n in used], {}
     for path, dataset in used.items():
         axes = [k for k, size in enumerate(dataset.shape) if size == length]
-        named = [k for k in axes if any(_last(s.name) in TIME_NAMES for s in dataset.dims[k].values())]
+        named = [k for k in axes if any(_is_time(s.name) for s in dataset.dims[k].values())]
         if len(named or axes) > 1:
             msg = f"dataset {path}: any axis of {dataset.shape} may be time; add a dataset time"
             raise ValueError(msg)
@@ -80,7 +78,7 @@ def _columns(name: str, dataset: Any, axis: int) -> dict[str, np.ndarray]:
     for missing in {"_FillValue", "missing_value"} & set(attrs):
         values[values == np.ravel(attrs[missing])[0]] = np.nan
     values = values * np.ravel(attrs.get("scale_factor", 1.0))[0] + np.ravel(attrs.get("add_offset", 0.0))[0]
-    if name in TIME_NAMES and (unit := _text(attrs, "units").split(" since ")[0]):
+    if _is_time(name) and (unit := _text(attrs, "units").split(" since ")[0]):
         name = f"time ({unit})"
     labels = []
     for k, size in enumerate(dataset.shape):
@@ -100,6 +98,10 @@ def _is_real(name: str, node: Any) -> bool:
     return not (
         node.is_virtual or node.external or name[0] == "#" or _text(node.attrs, "MATLAB_class") == "char"
     )
+
+
+def _is_time(path: str) -> bool:
+    return _last(path).lower() in TIME_NAMES
 
 
 def _last(path: str) -> str:

@@ -110,6 +110,13 @@ def test_a_rate_may_be_an_attribute_and_names_are_unique(tmp_path, hdf5):
     assert_read(write_hdf5(tmp_path / "b.h5", hdf5, None, **groups), ["left/y", "right/y"], rate_hz=250.0)
 
 
+def test_a_dataset_of_times_has_the_unit_of_its_attribute(tmp_path, hdf5):
+    path = write_hdf5(tmp_path / "a.h5", hdf5, None, Time=1e3 * TIME_S, y=MOTION)
+    with hdf5.File(path, "a") as file:
+        file["Time"].attrs["units"] = np.bytes_("ms")
+    assert_read(path, ["y 1", "y 2"])
+
+
 @pytest.mark.parametrize(
     ("attributes", "datasets", "words"),
     [
