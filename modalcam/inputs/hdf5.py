@@ -35,18 +35,13 @@ def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
                 columns |= _columns(name, dataset, axis)
             if _text(file.attrs, "time_unit") == "frames":
                 columns = {"frame" if n == "time" else n: v for n, v in columns.items()}
-            numbers = {n: v[()] for n, v in nodes.items() if getattr(v, "size", 0) == 1}
-            stated = [
-                *numbers.items(),
-                *(pair for node in (file, *nodes.values()) for pair in node.attrs.items()),
-            ]
+            held = [(n, v[()]) for n, v in nodes.items() if getattr(v, "size", 0) == 1 and _is_held(v)]
+            stated = held + [pair for node in (file, *nodes.values()) for pair in node.attrs.items()]
     except Exception as error:
         msg = f"no readable file in HDF5 ({error})"
         raise ValueError(msg) from error
-    table, notes = (
-        pd.DataFrame(columns),
-        [f"Datasets {', '.join(list(used)[:8])} of the file in HDF5 are used."],
-    )
+    table = pd.DataFrame(columns)
+    notes = [f"Datasets {', '.join(list(used)[:8])} of the file in HDF5 are used."]
     insert_times(table, notes, {float(np.ravel(v)[0]) for n, v in stated if _last(n).lower() in RATE_NAMES})
     return table, notes
 
@@ -83,21 +78,23 @@ def _columns(name: str, dataset: Any, axis: int) -> dict[str, np.ndarray]:
     labels = []
     for k, size in enumerate(dataset.shape):
         if k != axis and size > 1:
-            scale = next(
-                (s[()] for s in dataset.dims[k].values() if s.shape == (size,)), np.arange(1, size + 1)
-            )
-            labels.append([v.decode("utf-8", "replace") if isinstance(v, bytes) else f"{v:g}" for v in scale])
+            scales = [s[()] for s in dataset.dims[k].values() if s.shape == (size,)]
+            names = scales[0] if scales else np.arange(1, size + 1)
+            labels.append([v.decode("utf-8", "replace") if isinstance(v, bytes) else f"{v:g}" for v in names])
     columns = np.moveaxis(values, axis, 0).reshape(values.shape[axis], -1)
     return {" ".join((name, *label)): columns[:, k] for k, label in enumerate(product(*labels))}
 
 
 def _is_real(name: str, node: Any) -> bool:
-    """Whether it is a dataset of numbers, all in this file; text of MATLAB is stored as numbers."""
-    if getattr(node, "shape", None) in (None, ()) or node.dtype.kind not in REAL_KINDS:
+    """Whether it is a dataset of numbers; text of MATLAB is stored as numbers, its references under ``#``."""
+    if getattr(node, "shape", None) in (None, ()) or node.dtype.kind not in REAL_KINDS or name[0] == "#":
         return False
-    return not (
-        node.is_virtual or node.external or name[0] == "#" or _text(node.attrs, "MATLAB_class") == "char"
-    )
+    return _is_held(node) and _text(node.attrs, "MATLAB_class") != "char"
+
+
+def _is_held(dataset: Any) -> bool:
+    """Whether the values are in this file."""
+    return not (dataset.is_virtual or dataset.external)
 
 
 def _is_time(path: str) -> bool:

@@ -92,15 +92,15 @@ PROGRAMS: dict[str, Callable[[Path], tuple[pd.DataFrame, list[str]]]] = {
 def of_motion(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Columns proportional to the motion, of a solution of DICe or a table of phyphox, and a note on what was left out.
 
-    Trajectories of Kinovea (``name/point/X``) are over frames, as in its text export.
-    ``SIGMA`` of DICe is the standard deviation of both displacements in px, -1 where the correlation failed
-    (https://github.com/dicengine/dice/issues/133 and 218). ValueError for its solution of one frame at all points.
+    Trajectories of Kinovea (``name/point/X``) are over frames, as in its text export. The modulus of the components in
+    a table of phyphox is left out. ``SIGMA`` of DICe is the standard deviation of both displacements in px, -1 where
+    the correlation failed (https://github.com/dicengine/dice/issues/133 and 218). ValueError for its solution of one
+    frame at all points.
     """
-    moduli = [name for name in table.columns if str(name).startswith("Absolute ")]
-    if moduli:
-        return table.drop(columns=moduli), [
-            f"{', '.join(moduli)}, a modulus, is left out: its frequency is doubled."
-        ]
+    moduli = [name for name in table.columns if str(name).startswith("Absolute")]
+    if moduli and any(" x (" in str(name) for name in table.columns):
+        note = f"{', '.join(moduli)}, a modulus, is left out: its frequency is doubled."
+        return table.drop(columns=moduli), [note]
     first, *others = map(str, table.columns)
     if others and first == "Time" and all(re.fullmatch(r".*/.*/[XY]", name) for name in others):
         times = pd.to_numeric(table[first]).to_numpy(dtype=np.float64)
@@ -118,5 +118,5 @@ def of_motion(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     failed = ~(table["SIGMA"] > 0.0)
     sd = pd.DataFrame({f"sd_{name}": table["SIGMA"] for name in chosen})
     columns = pd.concat([table["FRAME"], chosen.mask(failed), sd.mask(failed)], axis=1)
-    note = f"Of the solution of DICe, the displacements are used; it failed in {int(failed.sum())} frames."
+    note = f"Of the solution of DICe, the displacements are used; it failed in {int(failed.sum())} frame(s)."
     return columns, [note]

@@ -60,6 +60,11 @@ def test_phyphox_csv(tmp_path, separator, number):
     assert any("Absolute acceleration (m/s^2), a modulus, is left out" in note for note in read.notes)
 
 
+def test_a_channel_that_is_called_absolute_is_no_modulus_without_components(tmp_path):
+    names = ["Time (s)", "Absolute position (mm)", "Relative position (mm)"]
+    assert_read(tmp_path / "a.csv", quoted(names) + rows(TIME_S, MOTION), names[1:])
+
+
 def test_phyphox_xlsx(tmp_path):
     """ExcelFormat in the same file: a sheet of a name and numbers for each set, and sheets on the device."""
     openpyxl = pytest.importorskip("openpyxl", reason="the extra modalcam[xlsx] is not installed")
@@ -169,7 +174,7 @@ def test_a_solution_of_dice_has_its_standard_deviations(tmp_path):
         tmp_path / "a.txt", DICE + names + table, ["DISPLACEMENT_X", "DISPLACEMENT_Y"], 250.0, holed
     )
     np.testing.assert_array_equal(series.sd[:, 0], np.where(sigma > 0.0, sigma, np.nan))
-    assert any("failed in 1 frames" in note for note in read.notes)
+    assert any("failed in 1 frame(s)" in note for note in read.notes)
 
 
 def test_a_solution_of_dice_of_one_frame_is_refused(tmp_path):

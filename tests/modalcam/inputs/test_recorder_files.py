@@ -143,7 +143,11 @@ def test_values_in_other_files_are_not_read(tmp_path, hdf5):
         layout = hdf5.VirtualLayout((40,), "f8")
         layout[:] = hdf5.VirtualSource(str(secret), "s", (40,))
         file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("rate", (1,), "f8", external=[(str(secret), 0, 8)])
     assert_read(path, ["y 1", "y 2"])
+    with hdf5.File(path, "a") as file:
+        del file["time"]
+    assert_read(path, ["y 1", "y 2"], rate_hz=250.0)
 
 
 @pytest.mark.parametrize("stored", ["numbers", "durations", "dates"])
