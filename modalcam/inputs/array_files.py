@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from modalcam.common import ARRAY_DAMAGE
 from modalcam.inputs.hdf5 import read_hdf5
-from modalcam.inputs.time_axis import MOST_VALUES, RATE_NAMES, REAL_KINDS, insert_times, samples_by_channels
+from modalcam.inputs.stated import MOST_VALUES, RATE_NAMES, REAL_KINDS, insert_times
+from modalcam.inputs.time_axis import samples_by_channels
 
 # Vectors and matrices.
 _AXES = 2

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modalcam.inputs.time_axis import MOST_VALUES, RATE_NAMES, REAL_KINDS, TIME_NAMES, insert_times
+from modalcam.inputs.stated import MOST_VALUES, RATE_NAMES, REAL_KINDS, TIME_NAMES, insert_times, note_unit
 
 
 def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -35,6 +35,7 @@ def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
                 columns |= _columns(name, dataset, axis)
             if _text(file.attrs, "time_unit") == "frames":
                 columns = {"frame" if n == "time" else n: v for n, v in columns.items()}
+            units = {_text(v.attrs, "units") for n, (v, _) in used.items() if not _is_time(n)}
             held = [(n, v[()]) for n, v in nodes.items() if getattr(v, "size", 0) == 1 and _is_held(v)]
             stated = held + [pair for node in (file, *nodes.values()) for pair in node.attrs.items()]
     except Exception as error:
@@ -43,6 +44,7 @@ def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
     table = pd.DataFrame(columns)
     notes = [f"Datasets {', '.join(list(used)[:8])} of the file in HDF5 are used."]
     insert_times(table, notes, {float(np.ravel(v)[0]) for n, v in stated if _last(n).lower() in RATE_NAMES})
+    note_unit(table, notes, units)
     return table, notes
 
 

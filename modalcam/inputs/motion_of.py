@@ -38,7 +38,9 @@ def motion_of(
         tracks = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
         motion["tracks"] = replace(tracks, input=given.input or ())
     else:
-        motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
+        motion["series"] = series_from_table(
+            table, name=name, unit=table.unit or unit, positions_mm=positions_mm
+        )
     return _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +30,14 @@ _EVEN = 0.5
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a file, one of them ``time_s``; sentences on what was taken for what, if the file left it open."""
+    """Columns of a file, one of them ``time_s``; sentences on what was taken for what, if the file left it open.
+
+    `unit` is that of all channels, empty where the file states none.
+    """
 
     columns: pd.DataFrame
     notes: tuple[str, ...] = ()
+    unit: str = ""
 
 
 def read_table(path: Path, rate_hz: float | None = None) -> Table:
@@ -60,8 +64,9 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     readable_bytes(path, MAX_BYTES)
     where = shown(str(path))
     try:
-        columns, notes = _upright(*TABLE_READERS.get(path.suffix.lower(), read_text)(path))
-        return _with_times(columns, notes, rate_hz, where)
+        columns, notes = TABLE_READERS.get(path.suffix.lower(), read_text)(path)
+        unit = str(columns.attrs.get("unit", ""))
+        return replace(_with_times(*_upright(columns, notes), rate_hz, where), unit=unit)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
         raise InputError(msg) from error

@@ -14,7 +14,8 @@ from modalcam.inputs.text_table import read_lvm
 from modalcam.inputs.xlsx import read_xlsx
 
 UFF_ENDINGS = (".uff", ".unv", ".u58", ".uf")
-# From the path: columns by name, and sentences on what was taken for what; ValueError for other content.
+# From the path: columns by name, and sentences on what was taken for what; ValueError for other content. The attribute
+# ``unit`` of the columns, if there is one, is that of all channels.
 TableReader = Callable[[Path], tuple[pd.DataFrame, list[str]]]
 TABLE_READERS: dict[str, TableReader] = {
     ".npy": read_npy,

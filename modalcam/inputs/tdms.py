@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modalcam.inputs.time_axis import REAL_KINDS, insert_times
+from modalcam.inputs.stated import REAL_KINDS, insert_times, note_unit
 
 _STAMPS = "M"
 
@@ -46,6 +46,7 @@ def read_tdms(path: Path) -> tuple[pd.DataFrame, list[str]]:
         msg = "waveforms that begin at different times; export those of one start"
         raise ValueError(msg)
     insert_times(columns, notes, {rate for rate, _ in clocks}, next((start_s for _, start_s in clocks), 0.0))
+    note_unit(columns, notes, {str(c.properties.get("unit_string", "")) for c, _ in used})
     stamps = [v for _, v in found if v.size == length and v.dtype.kind == _STAMPS]
     if not clocks and len(stamps) == 1:
         columns.insert(0, "time (s)", (stamps[0] - stamps[0][0]) / np.timedelta64(1, "s"))

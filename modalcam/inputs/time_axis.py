@@ -1,19 +1,11 @@
-"""Which axis of an array without names is time, and the times of the rate that a file states."""
+"""Which axis of an array without names is time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-
-# More values than any series that can be identified.
-MOST_VALUES = 250_000_000
-# Integers and floating-point numbers.
-REAL_KINDS = "iuf"
-RATE_NAMES = ("fs", "rate", "fps", "sampling_rate", "sample_rate")
-TIME_NAMES = ("time_s", "time", "t")
 
 
 @dataclass(frozen=True)
@@ -34,18 +26,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-
-def insert_times(columns: pd.DataFrame, notes: list[str], rates: set[float], start_s: float = 0.0) -> None:
-    """Insert the times, and a note on them, where a file states samples per second instead; ValueError for two."""
-    if not rates or any(str(name).lower().split(" ")[0] in TIME_NAMES for name in columns.columns):
-        return
-    if len(rates) > 1 or not 0.0 < min(rates) < np.inf:
-        msg = f"samples per second of {', '.join(f'{rate:g}' for rate in sorted(rates))}; state one positive number"
-        raise ValueError(msg)
-    (rate,) = rates
-    columns.insert(0, "time", start_s + np.arange(len(columns)) / rate)
-    notes.append(f"Its times are those of {rate:g} samples per second, as the file says.")
 
 
 def samples_by_channels(array: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:

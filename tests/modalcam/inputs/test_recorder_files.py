@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 
 from modalcam.common import InputError
-from modalcam.inputs import read_table
+from modalcam.config import RecordingConfig
+from modalcam.inputs import motion_of, read_table
+from modalcam.pipeline import Limits
 
 TIME_S = np.arange(40) / 250.0
 MOTION = np.round(np.random.default_rng(4).standard_normal((40, 2)), 6)
@@ -46,6 +48,24 @@ def test_times_of_a_tdms_file_may_be_a_channel_or_time_stamps(tmp_path):
     stamps = np.datetime64("2026-01-01T00:00:00") + (1e6 * TIME_S).astype("timedelta64[us]")
     assert_read(write_tdms(tmp_path / "b.tdms", ("take", "at", stamps, {}), *pair()), ["a", "b"])
     assert_read(write_tdms(tmp_path / "c.tdms", *pair()), ["a", "b"], rate_hz=250.0)
+
+
+@pytest.mark.parametrize("units", [("g", "g"), ("g", "N"), ("", "")], ids=["one", "two", "none"])
+@pytest.mark.parametrize("ending", ["tdms", "h5"])
+def test_the_unit_that_all_channels_state_is_that_of_the_series(tmp_path, hdf5, in_process, ending, units):
+    path = tmp_path / f"a.{ending}"
+    if ending == "tdms":
+        write_tdms(
+            path,
+            *[(g, n, y, CLOCK | {"unit_string": u}) for (g, n, y, _), u in zip(pair(), units, strict=True)],
+        )
+    else:
+        with hdf5.File(write_hdf5(path, hdf5, {"fs": 250.0}, a=MOTION[:, 0], b=MOTION[:, 1]), "a") as file:
+            for name, unit in zip("ab", units, strict=True):
+                file[name].attrs["units"] = unit
+    motion = motion_of(path, "a", RecordingConfig(file=path.name), Limits(), unit="mm", rate_hz=None)
+    assert motion["series"].unit == ("g" if units == ("g", "g") else "mm")
+    assert any("state N, g as their units" in note for note in motion["series"].notes) == ("N" in units)
 
 
 def test_of_a_tdms_file_the_longest_channels_of_numbers_are_read(tmp_path):
