@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -126,7 +126,7 @@ def displacement(
 
 
 def frf(
-    series: DisplacementSeries | ArrayLike,
+    series: DisplacementSeries | Sequence[Mapping[str, Any]] | ArrayLike,
     y: ArrayLike | None = None,
     *,
     input: ArrayLike,  # noqa: A002 - the field's word
@@ -181,7 +181,7 @@ def frf(
 
 
 def identify(
-    series: DisplacementSeries | ArrayLike,
+    series: DisplacementSeries | Sequence[Mapping[str, Any]] | ArrayLike,
     y: ArrayLike | None = None,
     *,
     mode: int | None = None,
@@ -202,8 +202,9 @@ def identify(
 
     Parameters
     ----------
-    series : DisplacementSeries or array, shape (n,)
-        A series of `displacement`, or the times in s of `y`, strictly increasing. Steps may be uneven.
+    series : DisplacementSeries, list of dict, or array, shape (n,)
+        A series of `displacement`; signals of SEP 005, as readers of SDyPy give them, all of one unit and clock; or the
+        times in s of `y`, strictly increasing. Steps may be uneven.
     y : array, shape (n,) or (n, k), optional
         Displacement, velocity or acceleration of k channels, where `series` holds times. NaN is missing.
     mode : int, optional
@@ -269,6 +270,12 @@ def identify(
     >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
     (10.0, 1.0)
 
+    The same as a signal of SEP 005, which readers of SDyPy such as `sdypy_io_tdms` return in a list:
+
+    >>> signals = [{"name": "tip", "data": y, "unit_str": "mm", "fs": 500.0}]
+    >>> mc.identify(signals).series.channels
+    ('tip',)
+
     A beam whose clamp was filmed while it was shaken, ``base`` and ``y`` in mm:
 
     >>> found = mc.identify(t, y, input=base)  # doctest: +SKIP
@@ -279,13 +286,15 @@ def identify(
     from modalcam.config import expected_of_theory  # noqa: PLC0415
     from tracker import DisplacementSeries, Failure, KnownInput  # noqa: PLC0415
 
-    if not isinstance(series, DisplacementSeries):
-        series = _series(series, y, unit, positions_mm)
+    if not isinstance(series, DisplacementSeries) and not _are_signals(series):
+        series = _series(cast("ArrayLike", series), y, unit, positions_mm)
     elif y is not None:
-        msg = (
-            "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
-        )
+        msg = "identify takes a series, or times and values; found a series and values"
         raise ValueError(msg)
+    elif not isinstance(series, DisplacementSeries):
+        series = DisplacementSeries.from_sep005(cast("Sequence[Mapping[str, Any]]", series))
+        if positions_mm is not None:
+            series = replace(series, positions_mm=np.asarray(positions_mm, dtype=np.float64))
     if input is not None:
         given_unit = series.unit if input_unit is None else input_unit
         values = np.asarray(input, dtype=np.float64)
@@ -352,13 +361,19 @@ def aliases(*found: Identification) -> Aliases:
     )
 
 
+def _are_signals(series: object) -> bool:
+    """Whether it is a list of signals of SEP 005, or one of them."""
+    first = series[0] if isinstance(series, Sequence) and len(series) else series
+    return isinstance(first, Mapping)
+
+
 def _series(
     t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None
 ) -> DisplacementSeries:
     from tracker import DisplacementSeries  # noqa: PLC0415
 
     if y is None:
-        msg = "identify takes a DisplacementSeries, or times and values; found no values"
+        msg = "identify takes a series, or times and values; found no values"
         raise ValueError(msg)
     time_s = np.asarray(t, dtype=np.float64)
     values = np.asarray(y, dtype=np.float64)

@@ -26,7 +26,10 @@ def test_the_oldest_dependencies_are_those_that_pyproject_states():
     extras = project["optional-dependencies"]
     parts = [
         project["dependencies"],
-        *(extras[name] for name in ("netcdf", "uff", "tiff", "cluster", "studio", "test")),
+        *(
+            extras[name]
+            for name in ("netcdf", "xarray", "tdms", "xlsx", "uff", "tiff", "cluster", "studio", "test")
+        ),
     ]
     stated = lowest(text for part in parts for text in part)
     lines = (ROOT / ".ci" / "oldest.txt").read_text(encoding="utf-8").splitlines()

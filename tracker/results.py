@@ -6,7 +6,7 @@ Missing values are NaN. Every position has a standard deviation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -20,6 +20,7 @@ from tracker.flags import format_flags
 from tracker.geometry import Lens, PlaneMap, Positions, Scale, TimeAxis, median_over_time, rectified
 from tracker.position_errors import PositionErrors
 from tracker.scale_change import ScaleChange
+from tracker.sep005 import fields_of, signals_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -402,6 +403,20 @@ class DisplacementSeries:
         if not np.all(np.isfinite(self.time_s)) or np.any(np.diff(self.time_s) <= 0.0):
             msg = "time_s must be finite and strictly increasing"
             raise ValueError(msg)
+
+    @classmethod
+    def from_sep005(cls, signals: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> DisplacementSeries:
+        """Series of signals of SEP 005, the time series of SDyPy, one channel each; None and NaN are missing.
+
+        A field ``sd`` is the standard deviation of ``data``. ValueError if a required field is absent, or signals
+        differ in their unit or their times.
+        """
+        fields = fields_of(signals)
+        return cls(name="series", positions_mm=np.full(len(fields["channels"]), np.nan), **fields)
+
+    def to_sep005(self) -> list[dict[str, Any]]:
+        """Signals of SEP 005, one for each channel, with ``time``; ``fs`` for even times, ``sd`` where it is known."""
+        return signals_of(self.time_s, self.channels, self.values, self.sd, self.unit)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Wide table of ``time_s``, ``<channel>_<unit>`` and ``sd_<channel>_<unit>``; NaN where missing."""

@@ -108,7 +108,7 @@ def track(
 def identify(
     file: Annotated[
         Path,
-        typer.Argument(help="Tracks file, table of times and channels (.csv .npy .mat .lvm), or .uff."),
+        typer.Argument(help="Tracks file, .uff, or table (.csv .xlsx .npy .mat .lvm .tdms .h5 .nc)."),
     ],
     common: dict[str, Any],
     out: NamedOut = None,

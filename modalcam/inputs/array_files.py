@@ -12,14 +12,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modalcam.common import ARRAY_DAMAGE
+from modalcam.inputs.hdf5 import read_hdf5
+from modalcam.inputs.stated import MOST_VALUES, RATE_NAMES, REAL_KINDS, insert_times
 from modalcam.inputs.time_axis import samples_by_channels
 
-# More values than any series that can be identified.
-_MOST_VALUES = 250_000_000
-# Integers and floating-point numbers; vectors and matrices.
-_REAL_KINDS, _AXES = "iuf", 2
+# Vectors and matrices.
+_AXES = 2
 _PLAIN_KINDS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-_RATE_NAMES = ("fs", "rate", "fps", "sampling_rate", "sample_rate")
 
 
 def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -37,11 +36,15 @@ def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
 
 def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Columns from the numeric variables of a MATLAB file (up to version 7) that are as long as the longest.
+    """Columns from the numeric variables of a MATLAB file that are as long as the longest.
 
     A scalar called fs, rate or fps gives the times if no variable does. ValueError if there is no such variable.
     """
-    arrays = _mat_arrays(path)
+    try:
+        arrays = _mat_arrays(path)
+    except NotImplementedError:
+        # Version 7.3 is HDF5.
+        return read_hdf5(path)
     vectors = {name: np.atleast_1d(value) for name, value in arrays.items() if value.size > 1}
     if not vectors:
         msg = "no numeric variable with more than one value"
@@ -56,33 +59,28 @@ def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
     turned = [f"{name} {vectors[name].shape}" for name in parts if vectors[name].shape[0] < length]
     notes += [f"Of {', '.join(turned)} the longer axis is time."] if turned else []
     scalars = {name.lower(): float(value) for name, value in arrays.items() if value.size == 1}
-    rate = next((scalars[name] for name in _RATE_NAMES if name in scalars), 0.0)
-    if rate > 0.0 and not {"t", "time", "time_s"} & {name.lower() for name in parts}:
-        columns.insert(0, "time", np.arange(length) / rate)
-        notes.append(f"Its times are those of {rate:g} samples per second, as a variable says.")
+    rate = next((scalars[name] for name in RATE_NAMES if name in scalars), 0.0)
+    insert_times(columns, notes, {rate} if rate > 0.0 else set())
     return columns, notes
 
 
 def _mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Numeric variables of a MATLAB file."""
+    """Numeric variables of a MATLAB file; NotImplementedError for version 7.3."""
     from scipy.io import loadmat, whosmat  # noqa: PLC0415 - heavy
     from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
         # Structures, cells and sparse matrices, which hold any number of values, are not read.
         plain = {name: shape for name, shape, kind in whosmat(path) if kind in _PLAIN_KINDS}
-        if sum(int(np.prod(shape, dtype=object)) for shape in plain.values()) > _MOST_VALUES:
-            msg = f"more than {_MOST_VALUES} values"
+        if sum(int(np.prod(shape, dtype=object)) for shape in plain.values()) > MOST_VALUES:
+            msg = f"more than {MOST_VALUES} values"
             raise ValueError(msg)
         found = loadmat(path, squeeze_me=True, variable_names=list(plain))
-    except NotImplementedError as error:
-        msg = "a MATLAB file of version 7.3; save it with -v7"
-        raise ValueError(msg) from error
     except (MatReadError, TypeError, LookupError, OverflowError, zlib.error, struct.error) as error:
         msg = f"no readable MATLAB file ({error})"
         raise ValueError(msg) from error
     arrays = {name: np.asarray(value) for name, value in found.items() if not name.startswith("__")}
-    return {name: array for name, array in arrays.items() if array.dtype.kind in _REAL_KINDS}
+    return {name: array for name, array in arrays.items() if array.dtype.kind in REAL_KINDS}
 
 
 def _numbered(name: str, count: int) -> list[str]:
@@ -90,7 +88,7 @@ def _numbered(name: str, count: int) -> list[str]:
 
 
 def _real(array: NDArray[Any]) -> NDArray[np.float64]:
-    if array.dtype.kind not in _REAL_KINDS:
+    if array.dtype.kind not in REAL_KINDS:
         msg = f"values of type {array.dtype}; save real numbers"
         raise ValueError(msg)
     return np.asarray(array, dtype=np.float64)

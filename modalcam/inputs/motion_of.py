@@ -15,6 +15,9 @@ from modalcam.inputs.table_readers import UFF_ENDINGS
 from modalcam.inputs.uff import read_uff
 from modalcam.pipeline import Limits, TaskFailure, worker_pool
 
+# MATLAB and HDF5; a small workbook may hold any number of cells.
+_FRAGILE = (".mat", ".h5", ".hdf5", ".nc", ".xlsx")
+
 
 def motion_of(
     path: Path, name: str, given: RecordingConfig, limits: Limits, *, unit: str, rate_hz: float | None
@@ -35,13 +38,15 @@ def motion_of(
         tracks = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
         motion["tracks"] = replace(tracks, input=given.input or ())
     else:
-        motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
+        motion["series"] = series_from_table(
+            table, name=name, unit=table.unit or unit, positions_mm=positions_mm
+        )
     return _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
 
 
 def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
-    """Columns of a file; a MATLAB file, of which a damaged one ends its reader by a signal, in another process."""
-    if path.suffix.lower() != ".mat":
+    """Columns of a file; those of which a damaged one ends its reader, in another process."""
+    if path.suffix.lower() not in _FRAGILE:
         return read_table(path, rate_hz)
     with worker_pool(1, limits) as pool:
         (found,) = pool.map(partial(read_table, rate_hz=rate_hz), [path])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,8 @@ MAX_BYTES = 2_000_000_000
 TIME = "time_s"
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _SECONDS |= {"\u03bcs": 1e-6, "min": 60.0}
+# As NetCDF writes them.
+_SECONDS |= {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
 _TIME_NAMES = {"time", "t", "x_value", "elapsed time", "zeit", "temps", "tiempo", "tempo"}
 _COUNTER_NAMES = {"frame", "frames", "frame number", "sample", "index"}
 # A name with its unit: Time (s), Time [ms], t/s, time_ms.
@@ -28,14 +30,18 @@ _EVEN = 0.5
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a file, one of them ``time_s``; sentences on what was taken for what, if the file left it open."""
+    """Columns of a file, one of them ``time_s``; sentences on what was taken for what, if the file left it open.
+
+    `unit` is that of all channels, empty where the file states none.
+    """
 
     columns: pd.DataFrame
     notes: tuple[str, ...] = ()
+    unit: str = ""
 
 
 def read_table(path: Path, rate_hz: float | None = None) -> Table:
-    """Columns of a text table (CSV, TSV, ...), LabVIEW measurement (.lvm), NumPy array (.npy) or MATLAB file (.mat).
+    """Columns of a text table (CSV, TSV, ...) or of a file of one of the formats in `TABLE_READERS`.
 
     A plugin adds others by `register_table_reader`.
 
@@ -58,8 +64,9 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     readable_bytes(path, MAX_BYTES)
     where = shown(str(path))
     try:
-        columns, notes = _upright(*TABLE_READERS.get(path.suffix.lower(), read_text)(path))
-        return _with_times(columns, notes, rate_hz, where)
+        columns, notes = TABLE_READERS.get(path.suffix.lower(), read_text)(path)
+        unit = str(columns.attrs.get("unit", ""))
+        return replace(_with_times(*_upright(columns, notes), rate_hz, where), unit=unit)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
         raise InputError(msg) from error

@@ -8,12 +8,25 @@ from pathlib import Path
 import pandas as pd
 
 from modalcam.inputs.array_files import read_mat, read_npy
+from modalcam.inputs.hdf5 import read_hdf5
+from modalcam.inputs.tdms import read_tdms
 from modalcam.inputs.text_table import read_lvm
+from modalcam.inputs.xlsx import read_xlsx
 
 UFF_ENDINGS = (".uff", ".unv", ".u58", ".uf")
-# From the path: columns by name, and sentences on what was taken for what; ValueError for other content.
+# From the path: columns by name, and sentences on what was taken for what; ValueError for other content. The attribute
+# ``unit`` of the columns, if there is one, is that of all channels.
 TableReader = Callable[[Path], tuple[pd.DataFrame, list[str]]]
-TABLE_READERS: dict[str, TableReader] = {".npy": read_npy, ".mat": read_mat, ".lvm": read_lvm}
+TABLE_READERS: dict[str, TableReader] = {
+    ".npy": read_npy,
+    ".mat": read_mat,
+    ".lvm": read_lvm,
+    ".tdms": read_tdms,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".nc": read_hdf5,
+    ".xlsx": read_xlsx,
+}
 
 
 def register_table_reader(suffix: str, read: TableReader) -> None:

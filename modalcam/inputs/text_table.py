@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from modalcam.inputs.program_tables import PROGRAMS, of_motion
+
 # Header, preamble and a few rows of numbers: enough to see how a file is written.
 _HEAD_BYTES = 65_536
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", r"\s+": "blanks"}
@@ -38,6 +40,9 @@ def read_text(path: Path) -> tuple[pd.DataFrame, list[str]]:
     lines = re.split(r"\r\n|\r|\n", _head(path).decode(encoding, errors="replace"))
     # The last line may have been cut.
     lines = lines[:-1] if len(_head(path)) == _HEAD_BYTES else lines
+    for beginning, read in PROGRAMS.items():
+        if lines and lines[0].startswith(beginning):
+            return read(path)
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     layout = None if "time_s" in [name.strip() for name in first.split(",")] else _layout(lines)
     if layout is None:
@@ -52,7 +57,8 @@ def read_text(path: Path) -> tuple[pd.DataFrame, list[str]]:
         encoding=encoding,
         encoding_errors="replace",
     )
-    return table, _described(layout)
+    table, left_out = of_motion(table)
+    return table, [*_described(layout), *left_out]
 
 
 def _read_csv(source: Path | io.StringIO, **how: Any) -> pd.DataFrame:

@@ -35,6 +35,9 @@ from .compile import compile_kernels as compile_kernels
 from .dask import IncompatibleWorkerError as IncompatibleWorkerError
 from .dask import WorkerRequirements as WorkerRequirements
 from .dask import cluster_pool as cluster_pool
+from .draws import GroupVariable as GroupVariable
+from .draws import data_tree as data_tree
+from .draws import posterior_groups as posterior_groups
 from .frame_count import FrameCount as FrameCount
 from .identify import ImageRows as ImageRows
 from .identify import MeasuredMode as MeasuredMode

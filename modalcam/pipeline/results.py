@@ -14,6 +14,7 @@ from modalcam.common import csv_safe, shown
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
     from modal_id import Identification
     from sim.beam import BeamModes, BeamProperties
@@ -166,6 +167,20 @@ class RunResult:
     def to_dataframe(self) -> pd.DataFrame:
         """Identified modes of all recordings with the columns of `modes.csv`, one row for each mode."""
         return mode_table(self.recordings)
+
+    def to_xarray(self) -> xarray.DataTree:
+        """Posterior draws of all recordings: a node for each, with the groups of its file in ``posterior/``.
+
+        ArviZ uses the node of a recording as it is; before version 1, `arviz.from_datatree` makes an `InferenceData` of
+        it. A recording without modes has no node. ImportError without xarray.
+
+        Examples
+        --------
+        >>> posterior = result.to_xarray()["take/posterior"].to_dataset()  # doctest: +SKIP
+        """
+        from modalcam.pipeline.draws import data_tree  # noqa: PLC0415 - loaded when used
+
+        return data_tree(self.recordings)
 
     def __repr__(self) -> str:
         """Folder, then one line for each recording."""

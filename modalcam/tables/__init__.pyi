@@ -20,6 +20,7 @@ from .track_film import encode as encode
 from .track_film import write_label as write_label
 from .track_film import write_preview as write_preview
 from .uff import write_uff as write_uff
+from .workbook import write_workbook as write_workbook
 from .writers import WRITERS as WRITERS
 from .writers import outputs as outputs
 from .writers import register_writer as register_writer

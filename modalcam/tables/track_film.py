@@ -17,7 +17,7 @@ from modalcam.pipeline import replacing
 from tracker import GrayImage, MarkerTracks, flags
 from tracker.video import UnreadableVideoError, open_recording, to_8_bit
 
-SUFFIXES = (".mp4", ".mkv", ".mov")
+SUFFIXES = (".mp4", ".mkv", ".mov", ".gif")
 PLAYBACK_FPS = Fraction(30)
 LARGEST_PLAYBACK_FPS = 60
 # Small images are enlarged to about this width or height, so that names do not cover the markers.
@@ -122,13 +122,15 @@ def _write(
 
 
 def encode(path: Path, images: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
-    """Encode as H.264 in one thread and without time stamps, so that the bytes are reproducible."""
-    count = 0
+    """Encode as H.264 in one thread and without time stamps, so that the bytes are reproducible; a GIF is gray."""
+    is_gif, count = path.suffix.lower() == ".gif", 0
     with av.open(str(path), mode="w", options={"fflags": "+bitexact"}) as container:
         options = {"flags": "+bitexact", "crf": "20", "preset": "veryfast", "x264-params": "mbtree=0"}
-        stream = container.add_stream("libx264", rate=rate, options=options)
+        options = {"flags": "+bitexact"} if is_gif else options
+        stream = container.add_stream("gif" if is_gif else "libx264", rate=rate, options=options)
         stream.codec_context.thread_count = 1
-        stream.pix_fmt = "yuv420p"
+        # The encoder of GIF has one palette for all colours: of grays, all are kept.
+        stream.pix_fmt = "gray" if is_gif else "yuv420p"
         for image in images:
             if count == 0:
                 stream.height, stream.width = image.shape[:2]

@@ -1,4 +1,4 @@
-"""Universal files (UFF) in ASCII: series and responses as dataset 58, mode shapes as 55, nodes as 15, units as 164.
+"""Universal files (UFF) in ASCII: series and responses as dataset 58, shapes 55, nodes 15, units 164, a header 151.
 
 A universal file cannot hold missing samples: a channel with gaps is written without them, on uneven abscissae.
 """
@@ -15,6 +15,7 @@ import numpy as np
 
 from modal_id import FrequencyResponse, Identification, IdentifiedMode
 from modal_id.solve import pole
+from modalcam import __version__
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace, replacing
 from modalcam.tables.base import Output, Writer
@@ -43,7 +44,9 @@ _MILLIMETRES = {
 
 
 def write_uff(path: Path, found: Identification) -> None:
-    """Write the channels of a series (dataset 58), the shapes of its modes (55), and the nodes they are drawn on (15).
+    """Write a header (dataset 151), the shapes of modes (55) and their nodes (15), and the channels of the series (58).
+
+    The header has no dates: the same results give the same bytes.
 
     Nodes number the channels from 1; the direction of response is the image axis along which the markers move (1: x,
     2: y), or 0 (scalar) if they move along neither. Shapes are complex eigenvectors of first order, translations in x,
@@ -56,9 +59,11 @@ def write_uff(path: Path, found: Identification) -> None:
     if sets and np.isfinite(found.series.positions_mm).all():
         sets = [pyuff.prepare_164(**_MILLIMETRES), pyuff.prepare_15(**_nodes(found.series)), *sets]
     with replacing(path) as temporary:
+        # Not by pyuff: it writes the time of writing.
+        temporary.write_text("".join(f"{line}\n" for line in _header(found)), encoding="ascii", newline="\n")
         if sets:
-            # First: before each set, pyuff reads all that the file holds.
-            pyuff.UFF(str(temporary)).write_sets(sets, "overwrite")
+            # Before the channels: before each set, pyuff reads all that the file holds.
+            pyuff.UFF(str(temporary)).write_sets(sets, "add")
         # Not by pyuff: its abscissae have six digits, too few for frequencies.
         with temporary.open("a", encoding="ascii", newline="\n") as file:
             for k in range(len(found.series.channels)):
@@ -66,6 +71,21 @@ def write_uff(path: Path, found: Identification) -> None:
             if found.response is not None:
                 for k in range(len(found.response.channels)):
                     file.writelines(f"{line}\n" for line in _response(found.series, found.response, k))
+
+
+def _header(found: Identification) -> Iterator[str]:
+    """Lines of dataset 151: name, description, program; dates are blank, the file is a universal one (0)."""
+    program = _text(f"modalcam {__version__}", 80)
+    yield f"{-1:6d}"
+    yield f"{151:6d}"
+    yield _text(found.series.name, 80)
+    yield _text(f"{len(found.series.channels)} channels in {found.series.unit}, {len(found.modes)} modes", 80)
+    yield program
+    yield f"{'':20s}{0:10d}{0:10d}{0:10d}"
+    yield f"{'':20s}"
+    yield program
+    yield f"{'':20s}"
+    yield f"{-1:6d}"
 
 
 def _function(series: DisplacementSeries, k: int) -> Iterator[str]:
@@ -224,9 +244,9 @@ def _outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> It
 UNIVERSAL = Writer(
     "universal",
     "universal/<recording>.uff",
-    "universal file in ASCII: the series (dataset 58, one per marker, missing samples omitted) and the complex mode "
-    "shapes (dataset 55, analysis type 3, six digits) on their nodes (datasets 15 and 164); with a measured input, the "
-    "responses (dataset 58, function type 4 for a force, 5 for a base)",
+    "universal file in ASCII: a header (dataset 151), the series (dataset 58, one per marker, missing samples omitted) "
+    "and the complex mode shapes (dataset 55, analysis type 3, six digits) on their nodes (datasets 15 and 164); "
+    "with a measured input, the responses (dataset 58, function type 4 for a force, 5 for a base)",
     _outputs,
     libraries=("pyuff",),
     extra="uff",

@@ -11,7 +11,7 @@ from dataclasses import replace
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace
 from modalcam.tables import csv_files as tables
-from modalcam.tables import first_frame, netcdf, response, shapes, uff
+from modalcam.tables import first_frame, netcdf, response, shapes, uff, workbook
 from modalcam.tables.base import Output, Writer
 from modalcam.tables.summary import CONFIG, SUMMARY
 
@@ -24,6 +24,7 @@ WRITERS: dict[str, Writer] = {
         netcdf.POSTERIOR,
         uff.UNIVERSAL,
         tables.MODES,
+        workbook.WORKBOOK,
         tables.ALIASES,
         shapes.SHAPES,
         response.RESPONSE,

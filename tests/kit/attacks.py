@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.paths import APPS
 from support.worker_tasks import InThisProcess
@@ -97,6 +98,26 @@ def write_lvm(path):
     path.write_text(f"{head}{second}***End_of_Header***\t\t\nX_Value\ty\tComment\n{rows}")
 
 
+def write_tdms(path):
+    nptdms = pytest.importorskip("nptdms", reason="the extra modalcam[tdms] is not installed")
+    _, values = decay_table()
+    clock = {"wf_increment": 0.01, "wf_start_offset": 0.0}
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment([nptdms.ChannelObject("take", "y", values, clock)])
+
+
+def write_hdf5(path):
+    h5py = pytest.importorskip("h5py", reason="the extra modalcam[netcdf] is not installed")
+    with h5py.File(path, "w") as file:
+        for name, values in zip(("time", "y"), decay_table(), strict=True):
+            file[name] = values
+
+
+def write_xlsx(path):
+    pytest.importorskip("openpyxl", reason="the extra modalcam[xlsx] is not installed")
+    pd.DataFrame(dict(zip(("time_s", "y"), decay_table(), strict=True))).to_excel(path, index=False)
+
+
 WRITERS = {
     "avi": lambda d: films.write(d / "take.avi", images()),
     "mp4": lambda d: films.write(d / "take.mp4", images(), codec="libx264"),
@@ -112,11 +133,14 @@ WRITERS = {
     "uff": lambda d: write_uff(d / "take.uff"),
     "binary uff": lambda d: write_uff(d / "take.uff", binary=1),
     "lvm": lambda d: write_lvm(d / "take.lvm"),
+    "tdms": lambda d: write_tdms(d / "take.tdms"),
+    "h5": lambda d: write_hdf5(d / "take.h5"),
+    "xlsx": lambda d: write_xlsx(d / "take.xlsx"),
     "npy": lambda d: np.save(d / "take.npy", np.column_stack(decay_table())),
     "state": lambda d: write_csv(d / "take.csv"),
 }
 TEXTS = ("toml", "csv", "uff", "lvm", "cih")
-IDENTIFIED = ("csv", "uff", "binary uff", "lvm", "npy")
+IDENTIFIED = ("csv", "uff", "binary uff", "lvm", "tdms", "h5", "xlsx", "npy")
 
 
 @dataclass(frozen=True)

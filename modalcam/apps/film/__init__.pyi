@@ -6,6 +6,7 @@ from .cli import render as render
 from .exaggerated import FRAMES as FRAMES
 from .exaggerated import ExaggeratedFilm as ExaggeratedFilm
 from .exaggerated import exaggerated_film as exaggerated_film
+from .exaggerated import marker_film as marker_film
 from .exaggerated import write_film as write_film
 from .footage import KeptFrames as KeptFrames
 from .footage import SimulatedFootage as SimulatedFootage

@@ -109,7 +109,7 @@ def _mode_list(text: str) -> tuple[int, ...]:
 
 def preview(
     source: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of a finished run.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Film to write: .mp4, .mkv or .mov.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Film to write: .mp4, .mkv, .mov or .gif.")],
     recording: Annotated[str | None, typer.Option(help="Recording of the run, if it holds several.")] = None,
     mode: Annotated[int | None, typer.Option(min=1, help="Number of the mode; default: the target.")] = None,
     exaggerate: Annotated[
@@ -125,14 +125,15 @@ def preview(
 ) -> None:
     """Film a beam in an identified mode, its motion exaggerated.
 
-    The recording is one of a line (kind = "line").
+    A line is moved in its first frame; markers are drawn over it.
     """
     from modalcam.apps.film.beam import chosen_recording
-    from modalcam.apps.film.exaggerated import ExaggeratedFilm, exaggerated_film, write_film
+    from modalcam.apps.film.exaggerated import ExaggeratedFilm, exaggerated_film, marker_film, write_film
     from modalcam.pipeline import load_run
     from modalcam.report import shown_mode
     from modalcam.report.style import mode_name
     from modalcam.tables import check_suffix
+    from tracker.markers import kind_of
 
     check_suffix(out, "--out")
     check_new(out, force=force)
@@ -144,7 +145,8 @@ def preview(
         )
         msg = f"{one.name}: mode {mode or ''} was not identified; its modes are {numbers}"
         raise InputError(msg)
-    made = exaggerated_film(tracks, found, picked, exaggerate)
+    film = exaggerated_film if kind_of(tracks.kind).follows_line else marker_film
+    made = film(tracks, found, picked, exaggerate)
     if not isinstance(made, ExaggeratedFilm):
         msg = f"{one.name}: {made.reason}"
         raise ModalcamError(msg)

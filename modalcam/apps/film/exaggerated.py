@@ -1,4 +1,4 @@
-"""The line of a recording re-posed by an identified mode, with its motion exaggerated: frames of one cycle."""
+"""A line re-posed, or markers drawn, in an identified mode with its motion exaggerated: frames of one cycle."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ _REACH_PX = 6.0
 _BESIDE_PX = 3.0
 # The line goes on beyond the parts of its first and last station.
 _END_PX = 4.0
+# Of the gray levels behind drawn markers; fractional bits of OpenCV's coordinates.
+_DARKENED, _SHIFT = 0.4, 4
 # Room beside the largest displacement.
 _MARGIN_PX = 8.0
 
@@ -69,8 +71,7 @@ def exaggerated_film(
     """
     if not kind_of(tracks.kind).follows_line or tracks.first_frame is None:
         return Failure('its motion is not that of a line (kind = "line") with a first frame')
-    direction = np.array([found.series.direction[0], -found.series.direction[1]])
-    scale = 1.0 if found.series.unit == "px" else tracks.scale.mm_per_px if tracks.scale else np.nan
+    direction, scale = _direction(found), _mm_per_px(tracks, found)
     if len(found.series.channels) != len(tracks.markers) or not np.isfinite(direction.sum() + scale):
         return Failure("the displacements are not those of all stations in the image")
     x, y = (np.nanmedian(at, axis=0) for at in (tracks.x_px, tracks.y_px))
@@ -82,8 +83,7 @@ def exaggerated_film(
         along, at = -along, -at
     if np.count_nonzero(good) < 2 or np.any(np.diff(at[good]) <= 0.0):
         return Failure("the line turns back along the direction of its displacement")
-    shape = mode.shape[good] / scale
-    shape = shape * np.exp(-1j * np.angle(shape[np.argmax(np.abs(shape))]))
+    shape = _turned(mode.shape[good] / scale)
     largest = float(np.max(np.abs(shape)))
     if factor is None:
         factor = max(1.0, _round_factor(_SHARE * float(np.ptp(at[good])) / largest))
@@ -94,6 +94,62 @@ def exaggerated_film(
     ]
     images = _posed(tracks.first_frame, line, moves)
     return ExaggeratedFilm(images, factor, factor * largest, mode.frequency_hz)
+
+
+def marker_film(
+    tracks: MarkerTracks, found: Identification, mode: IdentifiedMode, factor: float | None = None
+) -> ExaggeratedFilm | Failure:
+    """Draw the markers, joined by straight lines, in a mode over the first frame, which is darkened.
+
+    Parameters and choice of the factor as in `exaggerated_film`, with the distance of the outermost markers as the
+    length. Reference markers, and those without a position or a shape, are left out.
+    """
+    direction, scale = _direction(found), _mm_per_px(tracks, found)
+    known = [k for k, name in enumerate(found.series.channels) if name in tracks.markers]
+    if tracks.first_frame is None or not np.isfinite(direction.sum() + scale):
+        return Failure("it has no first frame, or its displacements are not those of markers in the image")
+    columns = [tracks.markers.index(found.series.channels[k]) for k in known]
+    rest = np.column_stack([np.nanmedian(at[:, columns], axis=0) for at in (tracks.x_px, tracks.y_px)])
+    shape = mode.shape[known] / scale
+    good = np.isfinite(rest.sum(axis=1)) & np.isfinite(shape)
+    if np.count_nonzero(good) < 2:
+        return Failure("fewer than two of its markers have a position and a shape")
+    order = np.argsort((rest @ np.array([-direction[1], direction[0]]))[good])
+    rest, shape = rest[good][order], _turned(shape[good][order])
+    largest = float(np.max(np.abs(shape)))
+    if factor is None:
+        factor = max(1.0, _round_factor(_SHARE * float(np.linalg.norm(rest[-1] - rest[0])) / largest))
+    margin = np.ceil(np.abs(direction) * factor * largest + _MARGIN_PX).astype(int)
+    frame = tracks.first_frame
+    # Even sides, for video.
+    pads = [(margin[1], margin[1] + frame.shape[0] % 2), (margin[0], margin[0] + frame.shape[1] % 2)]
+    dark = np.pad(to_gray(_DARKENED * frame.astype(np.float64)), pads, mode="edge")
+    images = []
+    for k in range(FRAMES):
+        moved = rest + margin + factor * np.real(shape * np.exp(2j * np.pi * k / FRAMES))[:, None] * direction
+        points = np.rint(moved * 2**_SHIFT).astype(np.int32)
+        image = cv2.polylines(
+            dark.copy(), [points], isClosed=False, color=255, lineType=cv2.LINE_AA, shift=_SHIFT
+        )
+        for point in points:
+            cv2.circle(image, point.tolist(), 4 << _SHIFT, 255, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+        images.append(image)
+    return ExaggeratedFilm(np.stack(images).astype(np.uint8), factor, factor * largest, mode.frequency_hz)
+
+
+def _direction(found: Identification) -> FloatArray:
+    """Unit vector of the displacement in the image, y down."""
+    return np.array([found.series.direction[0], -found.series.direction[1]])
+
+
+def _mm_per_px(tracks: MarkerTracks, found: Identification) -> float:
+    """Unit of the displacements in px; NaN where it is not known."""
+    return 1.0 if found.series.unit == "px" else tracks.scale.mm_per_px if tracks.scale else np.nan
+
+
+def _turned(shape: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """The shape at the phase at which its largest value is real: the largest deflection."""
+    return np.asarray(shape * np.exp(-1j * np.angle(shape[np.argmax(np.abs(shape))])))
 
 
 @dataclass(frozen=True)

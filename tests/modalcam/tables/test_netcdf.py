@@ -1,15 +1,20 @@
 """What ArviZ reads from the file of a posterior, against the samples that it comes from."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.runs import run_result
 from kit.series import pole_of, series_of
 from scipy.interpolate import BSpline
 
 from modal_id import identify
+from modalcam.pipeline import RecordingResult
 from modalcam.tables import netcdf
+from tracker import Failure
 
+xr = pytest.importorskip("xarray", reason="xarray is not installed")
 az = pytest.importorskip("arviz", reason="ArviZ is not installed")
 
 FREQUENCY_HZ, DAMPING_RATIO, RATE_SD_PPM = 12.0, 0.004, 50.0
@@ -94,13 +99,33 @@ def test_observed_data_are_the_samples_used_with_their_names(found, data):
 
 
 def test_a_long_series_is_left_out_of_the_file(found, tmp_path, monkeypatch):
-    monkeypatch.setattr(netcdf, "MOST_OBSERVED", 100)
+    monkeypatch.setattr("modalcam.pipeline.draws.MOST_OBSERVED", 100)
     netcdf.write_posterior(tmp_path / "take.nc", found, "take")
     assert "observed_data" not in az.from_netcdf(tmp_path / "take.nc").groups()
     whole = tmp_path / "whole.nc"
     monkeypatch.undo()
     netcdf.write_posterior(whole, found, "take")
     assert (tmp_path / "take.nc").stat().st_size < whole.stat().st_size
+
+
+def test_a_run_gives_arviz_what_the_files_hold(found, data):
+    done = RecordingResult("take", "take.avi", "00", None, identification=found)
+    failed = RecordingResult("other", "other.avi", "00", None, identification=Failure("no mode"))
+    tree = run_result((done, failed)).to_xarray()
+    assert list(tree.children) == ["take"]
+    given = az.from_datatree(tree["take"])
+    assert set(given.groups()) == set(data.groups())
+    for group in data.groups():
+        # NetCDF turns names of channels from strings of fixed length into any; the values are equal.
+        xr.testing.assert_equal(given[group], data[group])
+        assert given[group].attrs.items() >= {"recording": "take", "inference_library": "emcee"}.items()
+
+
+def test_a_tree_without_xarray_names_it(found, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    done = RecordingResult("take", "take.avi", "00", None, identification=found)
+    with pytest.raises(ImportError, match=r"pip install .modalcam\[xarray\]"):
+        run_result((done,)).to_xarray()
 
 
 def test_without_sampled_draws_there_is_the_posterior_only(found, tmp_path):

@@ -70,6 +70,7 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
     names = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
     expected = {
         "modes.csv",
+        "modes.xlsx",
         "shapes.csv",
         "comparison.csv",
         "updating.csv",

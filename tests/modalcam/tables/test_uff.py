@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kit.identified import identification_of
 
+from modalcam import __version__
 from modalcam.common import InputError
 from modalcam.inputs import read_uff
 from modalcam.tables import write_uff
@@ -18,6 +19,10 @@ def test_pyuff_reads_the_series_and_shapes(tmp_path):
     path = tmp_path / "take.uff"
     write_uff(path, found)
     sets = pyuff.UFF(str(path)).read_sets()
+    assert sets[0]["type"] == 151, "the header stands first"
+    assert sets[0]["model_name"].strip() == found.series.name
+    assert sets[0]["description"].strip() == f"3 channels in mm, {len(found.modes)} modes"
+    assert sets[0]["program"].strip() == f"modalcam {__version__}"
     functions = [one for one in sets if one["type"] == 58]
     assert [one["rsp_ent_name"].strip() for one in functions] == list(found.series.channels)
     assert [one["rsp_node"] for one in functions] == [1, 2, 3]
@@ -55,7 +60,7 @@ def test_nodes_lie_at_their_positions_across_the_motion(tmp_path):
 
     nowhere = replace(found.series, positions_mm=np.full(3, np.nan))
     write_uff(path, replace(found, series=nowhere))
-    assert {one["type"] for one in pyuff.UFF(str(path)).read_sets()} == {55, 58}
+    assert {one["type"] for one in pyuff.UFF(str(path)).read_sets()} == {55, 58, 151}
 
 
 @pytest.mark.parametrize("fps", [500.0, 600.0, 30000.0 / 1001.0])

@@ -6,9 +6,10 @@ import av
 import numpy as np
 import pytest
 from kit import runs
+from PIL import Image
 from support.html_page import Page
 
-from modalcam.apps.film import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
+from modalcam.apps.film import FRAMES, ExaggeratedFilm, exaggerated_film, marker_film, write_film
 from modalcam.report import build_report
 from modalcam.tables import summary
 
@@ -86,6 +87,55 @@ def test_the_written_film_repeats_the_cycle_and_is_reproducible(recording, tmp_p
     with av.open(str(tmp_path / "a.mp4")) as container:
         assert len(list(container.decode(video=0))) == count == 5 * 4
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+
+
+def test_a_gif_holds_the_gray_levels_of_the_film(recording, tmp_path):
+    """Read by Pillow, whose decoder is its own."""
+    film = exaggerated_film(recording.tracks, recording.identification, recording.identification.target)
+    short = replace(film, images=film.images[::6])
+    for name in ("a.gif", "b.gif"):
+        assert write_film(tmp_path / name, short, "Mode 2") == 5 * 4
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+    with Image.open(tmp_path / "a.gif") as read:
+        assert read.n_frames == 5 * 4
+        read.seek(6)
+        shown = np.asarray(read.convert("L"))
+    image = short.images[2]
+    # Pillow's gray of three equal levels, and that of the encoder, are off by one at most.
+    part = shown[-image.shape[0] :, (shown.shape[1] - image.shape[1]) // 2 :][:, : image.shape[1]]
+    assert np.max(np.abs(part.astype(int) - image)) <= 1
+
+
+def test_markers_are_drawn_where_the_mode_moves_them():
+    made = runs.recording(0, number=2, seconds=1.5)
+    tracks, found = made.tracks, made.identification
+    film = marker_film(tracks, found, found.target, factor=20.0)
+    assert film.images.shape[0] == FRAMES
+    assert film.largest_px == pytest.approx(20.0 * np.max(np.abs(found.target.shape)), rel=1e-9), (
+        "1 mm is 1 px"
+    )
+    shape = found.target.shape * np.exp(
+        -1j * np.angle(found.target.shape[np.argmax(np.abs(found.target.shape))])
+    )
+    margin = np.array(film.images.shape[1:]) - tracks.first_frame.shape
+    for k in range(len(found.series.channels)):
+        at = np.array([np.nanmedian(tracks.y_px[:, k]), np.nanmedian(tracks.x_px[:, k])]) + margin // 2
+        # motion along x in the image, to the right
+        for i, sign in ((0, 1.0), (FRAMES // 2, -1.0)):
+            moved = np.array([0.0, sign * 20.0 * shape[k].real * found.series.direction[0]])
+            row, column = np.rint(at + moved).astype(int)
+            disc = film.images[i, row - 2 : row + 3, column - 2 : column + 3]
+            assert disc.min() == 255, f"a disc of 4 px stands at marker {k} in frame {i}"
+    assert film.images.max(axis=0).mean() < 128.0, "the rest is darkened"
+    assert marker_film(tracks, found, found.target).factor in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+
+
+def test_markers_without_a_frame_or_a_shape_are_not_drawn():
+    made = runs.recording(0, seconds=1.5)
+    tracks, found = made.tracks, made.identification
+    assert "no first frame" in marker_film(replace(tracks, first_frame=None), found, found.target).reason
+    flat = replace(found.target, shape=np.full(found.target.shape.shape, np.nan + 0j))
+    assert "fewer than two" in marker_film(tracks, found, flat).reason
 
 
 def test_the_report_of_a_line_shows_its_motion_and_few_of_its_stations(recording):
