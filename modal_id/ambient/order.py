@@ -154,10 +154,12 @@ def choose_order(
         best = None
         # Twice the coherences with the modes so far and the tails, the shape, frequency and damping ratio.
         price = 0.5 * (2 * fit.model.total + data.size + 2) * np.log(total) + log_places
-        # Without a mode, the tails were fitted to its peak.
-        model, own = (fit.model, fit.data) if fit.model.count else (start, data)
-        unexplained = _unexplained(model, peaks)[: TUNING.peaks]
-        guesses = [(_from_peak(model, own, *peak), own) for peak in unexplained]
+        origins = [(fit.model, fit.data)]
+        if not fit.model.count and fit.model.total:
+            # Without a mode, the tails were fitted to its peak: of either guess the fit may end beside the best.
+            origins = [(start, data), *origins]
+        unexplained = _unexplained(fit.model, peaks)[: TUNING.peaks]
+        guesses = [(_from_peak(*one, *peak), one[1]) for one in origins for peak in unexplained]
         further = []
         if fit.model.count or not guesses:
             further += further_modes(fit, limits_hz, [half for _, half in peaks], price)
