@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.common import ConfigError
 from modalcam.config import beam_properties, updating_settings
 from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.identify import MeasuredMode, measured_modes
@@ -160,11 +159,7 @@ THEORY: Stage[BeamModes | str] = Stage(
 def beam_theory(context: Context) -> BeamModes | str:
     """Modes of the configured beam, or a sentence that says why there are none; ConfigError for impossible values."""
     config = context.config
-    try:
-        properties = beam_properties(config.beam)
-    except ValueError as error:
-        msg = f"[beam]: {error}"
-        raise ConfigError(msg) from error
+    properties = beam_properties(config.beam)
     if isinstance(properties, str):
         return properties
     highest = max((r.mode for r in config.recordings if r.mode is not None), default=1)

@@ -96,27 +96,20 @@ class BeamMatrices:
         """Directions of the vibration."""
         return (1,) if self.straight else (0, 1)
 
-    @cached_property
-    def held(self) -> int:
-        """Number of coordinates of one direction that a rigid clamp eliminates."""
-        return self.beam.held // 2
-
-    @cached_property
-    def scale(self) -> FloatArray:
-        """Displacement in m that corresponds to one unit of each coordinate of one direction, shape (2 (ne + 1),)."""
-        return np.tile([1.0, self.beam.element_length_m], self.standard.elements + 1)
+    def scale(self, directions: tuple[int, ...]) -> FloatArray:
+        """Displacement in m that corresponds to one unit of each free coordinate of some directions."""
+        return np.where(self.free(directions) % 4 < 2, 1.0, self.beam.element_length_m)
 
     def free(self, directions: tuple[int, ...]) -> NDArray[np.int64]:
         """Indices of the free coordinates of some directions among all."""
-        every = np.arange(4 * (self.standard.elements + 1)).reshape(-1, 2)
-        return np.asarray(every[self.held :, list(directions)].ravel(), dtype=np.int64)
+        return np.asarray(self.beam.free[np.isin(self.beam.free % 2, directions)])
 
     def reading(self, positions_m: FloatArray) -> FloatArray:
         """Transverse displacement at points of the vibrating coordinates, shape (k, d)."""
         one = self.beam.interpolation(positions_m)
-        out = np.zeros((one.shape[0], one.shape[1], len(self.modal)))
-        out[:, :, -1] = one
-        return out.reshape(one.shape[0], -1)
+        out = np.zeros((one.shape[0], 4 * (self.standard.elements + 1)))
+        out[:, self.beam.held + 1 :: 2] = one
+        return out.take(self.free(self.modal), axis=1)
 
     @cached_property
     def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -155,7 +148,8 @@ class BeamMatrices:
             out[:, at, at] += square[:, e]
         for d in range(c):
             out[:, d::c, d::c] += constant
-        return np.asarray(out[:, c * self.held :, c * self.held :])
+        free = self.free(directions) // (3 - c)
+        return np.asarray(out.take(free, axis=1).take(free, axis=2))
 
     def springs(self, axial: Array) -> Array:
         """Stiffness of an elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
@@ -206,7 +200,7 @@ class BeamMatrices:
     @cached_property
     def _start(self) -> FloatArray:
         """Equilibrium of the standard beam, all coordinates, shape (4 (ne + 1),)."""
-        return np.asarray(self.full(static_equilibrium(self.beam), (0, 1)), dtype=np.float64)
+        return np.pad(static_equilibrium(self.beam), (self.beam.held, 0))
 
     def _equilibrium(self, bend: Array, axial: Array, mass: Array) -> Array:
         """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method does not converge."""
@@ -214,7 +208,7 @@ class BeamMatrices:
         if not np.any(self.beam.gravity_m_s2):
             return q
         free = self.free(self.static)
-        scale = np.repeat(self.scale[self.held :], len(self.static))
+        scale = self.scale(self.static)
         small, stalled = (
             x * self.standard.length_m for x in (statics.TUNING.settled, statics.TUNING.stalled)
         )
@@ -329,7 +323,7 @@ def _by_equilibrium(
 def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> FloatArray:
     """Solution of ``K a = nodal`` at the equilibrium; (n, f, ne, 2, 4) to all coordinates, (n, f, 4 (ne + 1))."""
     full = matrices.gathered(nodal)
-    scale = np.repeat(matrices.scale[matrices.held :], len(matrices.static))
+    scale = matrices.scale(matrices.static)
     rows = np.swapaxes(full[:, :, matrices.free(matrices.static)], 1, 2)
     lost = ~np.all(np.isfinite(state.static_k), axis=(1, 2))
     tangent = np.where(lost[:, np.newaxis, np.newaxis], np.eye(scale.size), state.static_k)
