@@ -131,6 +131,7 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
             angle_deg=beam.angle_deg,
             clamp=clamp,
             ends=beam.ends,
+            tension_n=beam.tension_n,
         )
     except ValueError as error:
         msg = f"[beam]: {error}"

@@ -272,6 +272,12 @@ class BeamConfig(Options):
         "move across); free. Along the beam all but free ends are held.",
         examples=[["pinned", "pinned"]],
     )
+    tension_n: Finite = Field(
+        default=0.0,
+        description="Axial force of the straight beam without weight, negative in compression; needs two ends that are "
+        "not free.",
+        examples=[20.0],
+    )
 
     @model_validator(mode="after")
     def _angle_belongs_to_angled(self) -> BeamConfig:

@@ -142,8 +142,8 @@ class Tuning:
     #: physics: In series with 3 EI / L^3 it adds (t / L)^2 h / (4000 L) of the compliance: 1e-11 for the paper's beam.
     held_by: float = 1e3
     #: [1] stiffness that holds a coordinate of a pinned, guided or second clamped end in a state, over EA / h
-    #: physics: Bending of mode 5 has 1e-5 of EA / h: it moves such an end by 1e-11 of its displacement.
-    fixed_by: float = 1e6
+    #: physics: In series with EA / L of the beam it adds 1e-9 h / L of the compliance along the axis; less across it.
+    fixed_by: float = 1e9
     #: [EI / (m L^3)] square of the angular frequency that rigid-body motions have in the static equilibrium
     #: measurement: From 0.2 mm the decay of the paper's beam, pinned and free, is off by 3e-4 of that, with or without
     #: weight; with 1e-3 without weight by 3e-2 (loads that turn), with 1 hanging by 2e-3 (the pendulum).
@@ -254,10 +254,12 @@ class AncfBeam:
 
     @cached_property
     def bending_n_m(self) -> FloatArray:
-        """Constant stiffness of bending and of elastic or held ends, band form, shape (ndof, 15)."""
+        """Constant stiffness of bending, tension and elastic or held ends, band form, shape (ndof, 15)."""
         p = self.properties
         # two Gauss points are exact for bending
-        bending = self._assembled(p.elastic_modulus_pa * p.second_moment_m4, self.integral(2, 2))
+        bending = self._assembled(
+            p.elastic_modulus_pa * p.second_moment_m4, self.integral(2, 2), self.tensioned_n_m
+        )
         stiffness = (bending + self._clamp_springs())[self.held :, self.held :]
         held = TUNING.fixed_by * np.max(self.axial_stiffness_n) / self.element_length_m
         stiffness[self.fixed, self.fixed] += held * self.dof_scale[self.fixed] ** 2
@@ -378,10 +380,14 @@ class AncfBeam:
         by_element = self.elements(v)
         strain, turned = self.strained(q)
         slope, curve = by_element @ self.dshape.T, by_element @ self.curvature.T
-        stretch = np.sum(slope * turned[..., np.newaxis, :, :, :], axis=-2) ** 2
-        stretch = (stretch + strain[..., np.newaxis, :, :] * np.sum(slope**2, axis=-2)) @ self.weight_m
+        stretch, square = (
+            np.sum(slope * turned[..., np.newaxis, :, :, :], axis=-2) ** 2,
+            np.sum(slope**2, axis=-2),
+        )
+        stretch = (stretch + strain[..., np.newaxis, :, :] * square) @ self.weight_m
         bending = 0.5 * self.element_length_m * np.sum(curve**2, axis=(-2, -1))
         energy = np.sum(stretch * axial[..., np.newaxis, :] + bending * bend[..., np.newaxis, :], axis=-1)
+        energy = energy + p.tension_n * np.sum(square @ self.weight_m, axis=-1)
         displacement, rotation = self.springs(axial)
         root = np.sum(by_element[..., 0, :, :2] ** 2, axis=-2)
         return np.asarray(energy + displacement[..., np.newaxis] * root[..., 0] + rotation * root[..., 1])
@@ -490,6 +496,15 @@ class AncfBeam:
                 at[self.held // 2 :] = self.interpolation(np.array([point.position_m]), derivative)[0]
                 mass += inertia * np.outer(at, at)
         return mass
+
+    @cached_property
+    def tensioned_n_m(self) -> FloatArray:
+        """Stiffness of the tension at rest in one direction over all nodes, (displacement, slope) each.
+
+        Of its work ``T int eps dx`` the ends carry what is linear in the displacement.
+        """
+        p = self.properties
+        return self._assembled(np.full(p.elements, p.tension_n), self.integral(1, 3))[::2, ::2]
 
     def _assembled(
         self, values: FloatArray, unit: FloatArray, constant: FloatArray | float = 0.0

@@ -229,6 +229,8 @@ class Beam:
         Rigid when absent.
     ends : tuple of {"clamped", "pinned", "free", "guided"}
         At s = 0 and at s = length.
+    tension_n : float
+        Axial force at rest without weight, between two ends that are not free.
     gravity_m_s2 : float
 
     Raises
@@ -254,6 +256,7 @@ class Beam:
     angle_deg: float | None = None
     clamp: ElasticClamp | None = None
     ends: tuple[End, End] = ("clamped", "free")
+    tension_n: float = 0.0
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
 
     def __post_init__(self) -> None:
@@ -285,6 +288,7 @@ class Beam:
             angle_deg=self.angle_deg,
             clamp=self.clamp,
             ends=self.ends,
+            tension_n=self.tension_n,
         )
 
     def __repr__(self) -> str:

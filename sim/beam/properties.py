@@ -67,13 +67,14 @@ class BeamProperties:
     width and thickness, arrays of shape (ne,) from the first end. The beam bends about its width: the second moment of
     area is ``width thickness^3 / 12``. Orientation "none" is a beam without weight, shown hanging; `angle_deg`, only of
     an angled beam, counts from hanging, counter-clockwise in the image (90 points right, 180 up). Without a `clamp`,
-    which is that of the first end, a clamped end is rigid.
+    which is that of the first end, a clamped end is rigid. The axial force `tension_n`, negative in compression, is
+    that of the straight beam without weight between two ends that hold it, and the dimensions are those under it.
 
     Raises
     ------
     ValueError
         If a dimension is not finite and positive, the arrays do not match, a point mass is outside the beam, or `ends`,
-        `clamp` and weight contradict each other.
+        `clamp`, `tension_n` and weight contradict each other.
     """
 
     length_m: float
@@ -87,11 +88,13 @@ class BeamProperties:
     angle_deg: float | None = None
     clamp: ElasticClamp | None = None
     ends: tuple[End, End] = ("clamped", "free")
+    tension_n: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("length_m", "density_kg_m3", "elastic_modulus_pa"):
             checked(name, getattr(self, name), positive=True)
         checked("gravity_m_s2", self.gravity_m_s2, at_least=0.0)
+        checked("tension_n", self.tension_n)
         if self.orientation not in get_args(Orientation):
             msg = f"orientation must be one of {', '.join(get_args(Orientation))}, got {self.orientation!r}"
             raise ValueError(msg)
@@ -125,6 +128,8 @@ class BeamProperties:
             problem = f"ends must be two of {', '.join(get_args(End))}"
         elif self.clamp is not None and self.ends[0] != "clamped":
             problem = "an elastic clamp is the first end of a beam and needs it clamped"
+        elif self.tension_n != 0.0 and "free" in self.ends:
+            problem = f"a tension of {self.tension_n} N needs two ends that hold the beam along its axis"
         elif self.orientation != "none" and self.gravity_m_s2 > 0.0 and self.rigid_body_motions:
             across = self.orientation in ("horizontal", "angled")
             if across or self.ends == ("free", "free"):
@@ -149,6 +154,7 @@ class BeamProperties:
         angle_deg: float | None = None,
         clamp: ElasticClamp | None = None,
         ends: tuple[End, End] = ("clamped", "free"),
+        tension_n: float = 0.0,
     ) -> BeamProperties:
         """Build a beam with the same section in all `elements`."""
         if elements < 1:
@@ -166,6 +172,7 @@ class BeamProperties:
             angle_deg=angle_deg,
             clamp=clamp,
             ends=ends,
+            tension_n=tension_n,
         )
 
     @property

@@ -183,7 +183,7 @@ def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
         upright = beam.properties.orientation == "angled" and beam.axis[1] > TUNING.upright
         if beam.properties.orientation == "standing" or upright:
             raise BuckledBeamError(_buckling_message(beam)) from error
-        msg = "the static equilibrium is unstable; check the direction and size of the load"
+        msg = "the static equilibrium is unstable; check the direction and size of load and tension"
         raise NoEquilibriumError(msg) from error
     return q
 

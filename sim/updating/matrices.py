@@ -113,15 +113,15 @@ class BeamMatrices:
 
     @cached_property
     def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrices of one direction that the factors do not change: point masses, clamp springs, held translation."""
+        """Matrices of one direction that no factor changes: point masses, springs and tension, held translation."""
         p, mass = self.standard, self.beam.point_masses_kg
-        springs, held = np.zeros_like(mass), np.zeros_like(mass)
+        springs, held = self.beam.tensioned_n_m.copy(), np.zeros_like(mass)
         if p.clamp is not None:
-            springs[1, 1] = p.clamp.rotation_n_m_rad
+            springs[1, 1] += p.clamp.rotation_n_m_rad
             if p.clamp.translation_n_m is None:
                 held[0, 0] = ancf.TUNING.held_by / self.beam.element_length_m
             else:
-                springs[0, 0] = p.clamp.translation_n_m
+                springs[0, 0] += p.clamp.translation_n_m
         return mass, springs, held
 
     def gathered(self, by_element: Array) -> Array:
@@ -152,7 +152,7 @@ class BeamMatrices:
         return np.asarray(out.take(free, axis=1).take(free, axis=2))
 
     def springs(self, axial: Array) -> Array:
-        """Stiffness of an elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
+        """Stiffness of tension and elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
         _, springs, held = self.constant
         return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
 

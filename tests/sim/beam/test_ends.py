@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from sim import paper_beam
-from sim.beam import AncfBeam, ElasticClamp, PointMass, beam_modes
+from sim.beam import AncfBeam, ElasticClamp, NoEquilibriumError, PointMass, beam_modes, static_equilibrium
 from sim.damping import GenericDamping, NoDamping
 from sim.dynamics import longest_step_s, released_state, simulate, state_from_modes
 from sim.updating import BeamFamily
@@ -152,6 +152,46 @@ def test_a_beam_with_free_ends_decays_about_its_place(ends, orientation):
     )
 
 
+@pytest.mark.parametrize("tension_n", [20.0, 0.1, -0.3])
+def test_tension_of_a_pinned_beam_stiffens_it(tension_n):
+    beam = replace(paper_beam("none", 160), ends=("pinned", "pinned"), tension_n=tension_n)
+    n = np.arange(1, 3)
+    wave = n * np.pi / BEAM.length_m
+    theory = wave / (2.0 * np.pi) * np.sqrt((tension_n + wave**2 * STIFFNESS) / LINE_MASS)
+    error = beam_modes(AncfBeam(beam), 2).frequency_hz / theory - 1.0
+    assert np.abs(error).max() < 1e-8, f"as without tension, 160 elements leave at most 2e-9; got {error}"
+
+
+def test_compression_buckles_a_clamped_beam_at_eulers_load():
+    load = 4.0 * np.pi**2 * STIFFNESS / BEAM.length_m**2
+    held = replace(BEAM, ends=("clamped", "clamped"))
+    soft = beam_modes(AncfBeam(replace(held, tension_n=-0.9999 * load)), 1).frequency_hz[0]
+    assert soft < 0.02 * beam_modes(AncfBeam(held), 1).frequency_hz[0], (
+        "the square falls linearly with the load"
+    )
+    # 20 elements are too stiff by (beta h)^4 / 720 in the square: 1e-5 for beta L = 2 pi
+    with pytest.raises(NoEquilibriumError, match=r"unstable.*tension"):
+        static_equilibrium(AncfBeam(replace(held, tension_n=-1.0001 * load)))
+
+
+def test_a_beam_in_tension_decays_at_its_frequency():
+    beam = AncfBeam(replace(BEAM, ends=("pinned", "clamped"), tension_n=10.0))
+    modes = beam_modes(beam, 8)
+    omega = modes.omega_rad_s[0]
+    run = simulate(
+        beam,
+        NoDamping(),
+        state=released_state(beam, modes, 1, 1e-6),
+        duration_s=10.0 * 2.0 * np.pi / omega,
+        step_s=longest_step_s(omega),
+        output_positions_m=modes.antinode_m(1),
+        modes=modes,
+    )
+    error = np.abs(run.transverse_m[:, 0] / 1e-6 - np.cos(omega * run.time_s)).max()
+    # a micrometre adds 3e-12 m of stretch: EA / L of that is 3e-6 N
+    assert error < 1e-4, f"a small motion has the frequency of the modes over ten periods; got {error}"
+
+
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
 def test_a_beam_that_cannot_shorten_stiffens_with_amplitude(ratio):
     """Woinowsky-Krieger (1950): one mode of a pinned beam is Duffing's oscillator, ``u'' + w^2 (u + u^3 / 4 r^2) = 0``.
@@ -190,7 +230,7 @@ def test_ends_that_move_with_the_frame_do_not_move_in_it():
     assert np.all(modes.phi[beam.fixed] == 0.0)
     bent = np.abs(beam.transverse_at(np.array([0.25]), state.q))[0]
     held = np.abs(state.q * beam.dof_scale)[beam.fixed].max()
-    assert held < 1e-10 * bent, "a spring of a million times EA / h"
+    assert held < 1e-12 * bent, "bending of mode 1 has 1e-7 of EA / h, the spring 1e9 times EA / h"
 
 
 @pytest.mark.parametrize(
@@ -201,6 +241,7 @@ def test_ends_that_move_with_the_frame_do_not_move_in_it():
             {"ends": ("pinned", "free"), "clamp": SPRINGS},
             "an elastic clamp is the first end .* needs it clamped",
         ),
+        ({"tension_n": 3.0}, "a tension of 3.0 N needs two ends that hold the beam along its axis"),
         ({"ends": ("free", "free"), "orientation": "hanging"}, 'against its weight: .*orientation "none"'),
         ({"ends": ("pinned", "free"), "orientation": "horizontal"}, "got the ends 'pinned' and 'free' with"),
     ],
