@@ -351,6 +351,11 @@ class UpdatingConfig(Options):
         le=0.1,
         description="Relative standard deviation of the discrepancy between a frequency of the beam and of its model.",
     )
+    point_mass: bool = Field(
+        default=False,
+        description="Look for one point mass that [beam] lacks; the report lists the places where it may be. The "
+        "narrower the prior (bound), the fewer.",
+    )
 
 
 class PlanConfig(Options):

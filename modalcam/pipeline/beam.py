@@ -26,12 +26,12 @@ from sim.damping import (
     rayleigh_from,
 )
 from sim.updating import (
-    METHODS,
     MeasuredModes,
     Method,
     UpdatePart,
     UpdatingSettings,
     all_updates,
+    chosen_methods,
     update_by,
 )
 from tracker import Failure, FloatArray
@@ -203,7 +203,7 @@ def update_beam(
             "modes": theory_modes.count,
             "seed": context.seed,
         }
-        methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
+        methods = {f"{RUN}.{name}": {"method": name, **common} for name in chosen_methods(settings)}
     found, *others = run_together(context, (UPDATES, methods), *added)
     recordings = _with_added(recordings, added, others)
     result = UPDATING.once(

@@ -34,6 +34,7 @@ Nonlinear Dyn. 45 (2006) 109-130, doi:10.1007/s11071-006-1856-1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -43,7 +44,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.beam.banded import BAND, PAD, band_product, from_band, to_band
-from sim.beam.properties import BeamProperties, End, Orientation
+from sim.beam.properties import BeamProperties, End, Orientation, PointMass
 from tracker import FloatArray
 
 
@@ -485,11 +486,10 @@ class AncfBeam:
         shapes = shape_functions(0.5 * (nodes + 1.0), self.element_length_m, derivative)
         return np.asarray(np.einsum("g,gk,gl->kl", 0.5 * self.element_length_m * weights, shapes, shapes))
 
-    @cached_property
-    def point_masses_kg(self) -> FloatArray:
-        """Inertia of the point masses in one direction over all nodes, (displacement, slope) each."""
+    def bodies_kg(self, points: Sequence[PointMass]) -> FloatArray:
+        """Inertia of point masses in one direction over all nodes, (displacement, slope) each."""
         mass = np.zeros((2 * (self.properties.elements + 1),) * 2)
-        for point in self.properties.point_masses:
+        for point in points:
             # |dr'/dt| is the rate of rotation, apart from the rate of strain
             for inertia, derivative in ((point.mass_kg, 0), (point.rotary_inertia_kg_m2, 1)):
                 at = np.zeros(mass.shape[0])
@@ -518,7 +518,8 @@ class AncfBeam:
     @cached_property
     def _mass_with_clamp(self) -> FloatArray:
         p = self.properties
-        return self._assembled(p.density_kg_m3 * p.area_m2, self.integral(0, 4), self.point_masses_kg)
+        bodies = self.bodies_kg(p.point_masses)
+        return self._assembled(p.density_kg_m3 * p.area_m2, self.integral(0, 4), bodies)
 
     @cached_property
     def _translation_kg(self) -> FloatArray:

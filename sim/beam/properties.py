@@ -35,6 +35,10 @@ class PointMass:
         for name in ("position_m", "mass_kg", "rotary_inertia_kg_m2"):
             checked(f"{name} of a point mass", getattr(self, name), at_least=0.0)
 
+    def scaled(self, factor: float) -> PointMass:
+        """A body of `factor` times this mass and rotary inertia."""
+        return PointMass(self.position_m, factor * self.mass_kg, factor * self.rotary_inertia_kg_m2)
+
 
 @dataclass(frozen=True)
 class ElasticClamp:
@@ -216,14 +220,17 @@ class BeamProperties:
         thickness: float | FloatArray = 1.0,
         density: float = 1.0,
         elastic_modulus: float = 1.0,
+        point_masses: float | FloatArray = 1.0,
     ) -> BeamProperties:
-        """The beam with its properties multiplied by factors, for width and thickness one or one per element."""
+        """The beam with its properties multiplied by factors: one, or one per element or point mass."""
+        factors = np.broadcast_to(point_masses, len(self.point_masses))
         return replace(
             self,
             width_m=self.width_m * width,
             thickness_m=self.thickness_m * thickness,
             density_kg_m3=self.density_kg_m3 * density,
             elastic_modulus_pa=self.elastic_modulus_pa * elastic_modulus,
+            point_masses=tuple(p.scaled(float(f)) for p, f in zip(self.point_masses, factors, strict=True)),
         )
 
 

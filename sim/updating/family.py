@@ -68,30 +68,36 @@ class FamilyModes:
 
 @dataclass(frozen=True)
 class BeamFamily:
-    """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`."""
+    """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`.
+
+    The last `bodies` of the standard beam's point masses have a factor each, on mass and rotary inertia.
+    """
 
     standard: BeamProperties
     count: int
     points: tuple[MeasuredShape, ...] = ()
+    bodies: int = 0
 
     @cached_property
     def _matrices(self) -> BeamMatrices:
-        return BeamMatrices(self.standard)
+        return BeamMatrices(self.standard, self.bodies)
 
     @property
     def variables(self) -> int:
-        """Number of variables, widths, thicknesses, density, modulus: 2 ne + 2."""
-        return 2 * self.standard.elements + 2
+        """Number of variables, widths, thicknesses, density, modulus, unknown point masses: 2 ne + 2 + b."""
+        return 2 * self.standard.elements + 2 + self.bodies
 
     def properties(self, log_factor: FloatArray) -> BeamProperties:
         """The beam of one set of factors, shape (v,)."""
         ne = self.standard.elements
         factor = np.exp(log_factor)
+        masses = np.append(np.ones(len(self.standard.point_masses) - self.bodies), factor[2 * ne + 2 :])
         return self.standard.scaled(
             width=factor[:ne],
             thickness=factor[ne : 2 * ne],
-            density=float(factor[-2]),
-            elastic_modulus=float(factor[-1]),
+            density=float(factor[2 * ne]),
+            elastic_modulus=float(factor[2 * ne + 1]),
+            point_masses=masses,
         )
 
     def modes(self, log_factor: FloatArray, *, slopes: bool = False) -> FamilyModes:
