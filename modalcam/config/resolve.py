@@ -99,7 +99,7 @@ def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
 
 
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
-    """The beam as configured, or a sentence about what a simulation lacks."""
+    """The beam as configured, or a sentence about what a simulation lacks; ConfigError for contradictions."""
     if beam is None:
         return "There is no [beam] in the configuration, so nothing was simulated and modes are not numbered."
     missing = beam.missing()
@@ -118,15 +118,21 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
     clamp = None
     if beam.clamp is not None:
         clamp = ElasticClamp(beam.clamp.rotation_n_m_rad, beam.clamp.translation_n_m)
-    return BeamProperties.uniform(
-        length_m=required["length_mm"] * 1e-3,
-        width_m=required["width_mm"] * 1e-3,
-        thickness_m=required["thickness_mm"] * 1e-3,
-        density_kg_m3=required["density_kg_m3"],
-        elastic_modulus_pa=required["elastic_modulus_mpa"] * 1e6,
-        orientation=beam.orientation,
-        elements=beam.elements,
-        point_masses=masses,
-        angle_deg=beam.angle_deg,
-        clamp=clamp,
-    )
+    try:
+        return BeamProperties.uniform(
+            length_m=required["length_mm"] * 1e-3,
+            width_m=required["width_mm"] * 1e-3,
+            thickness_m=required["thickness_mm"] * 1e-3,
+            density_kg_m3=required["density_kg_m3"],
+            elastic_modulus_pa=required["elastic_modulus_mpa"] * 1e6,
+            orientation=beam.orientation,
+            elements=beam.elements,
+            point_masses=masses,
+            angle_deg=beam.angle_deg,
+            clamp=clamp,
+            ends=beam.ends,
+            tension_n=beam.tension_n,
+        )
+    except ValueError as error:
+        msg = f"[beam]: {error}"
+        raise ConfigError(msg) from error

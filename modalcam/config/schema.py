@@ -24,6 +24,7 @@ from pydantic import (
 
 from modal_id import IdentifyOptions
 from modalcam.common import ConfigError
+from sim.beam import End
 from sim.damping import Material, selectable_damping_models
 from tracker import (
     CameraOptions,
@@ -265,6 +266,18 @@ class BeamConfig(Options):
     elements: int = Field(default=20, ge=2, le=1000, description="Number of finite elements.")
     point_masses: tuple[PointMassConfig, ...] = Field(default=(), description="Masses fixed to the beam.")
     clamp: ClampConfig | None = Field(default=None, description="Elastic clamp.")
+    ends: tuple[End, End] = Field(
+        default=("clamped", "free"),
+        description="First end, from which positions count, and second end: clamped; pinned (may rotate); guided (may "
+        "move across); free. Along the beam all but free ends are held.",
+        examples=[["pinned", "pinned"]],
+    )
+    tension_n: Finite = Field(
+        default=0.0,
+        description="Axial force of the straight beam without weight, negative in compression; needs two ends that are "
+        "not free.",
+        examples=[20.0],
+    )
 
     @model_validator(mode="after")
     def _angle_belongs_to_angled(self) -> BeamConfig:
@@ -337,6 +350,11 @@ class UpdatingConfig(Options):
         ge=1e-6,
         le=0.1,
         description="Relative standard deviation of the discrepancy between a frequency of the beam and of its model.",
+    )
+    point_mass: bool = Field(
+        default=False,
+        description="Look for one point mass that [beam] lacks; the report lists the places where it may be. The "
+        "narrower the prior (bound), the fewer.",
     )
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from modalcam.common import ConfigError
 from modalcam.config import beam_properties, updating_settings
 from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.identify import MeasuredMode, measured_modes
@@ -27,12 +26,12 @@ from sim.damping import (
     rayleigh_from,
 )
 from sim.updating import (
-    METHODS,
     MeasuredModes,
     Method,
     UpdatePart,
     UpdatingSettings,
     all_updates,
+    chosen_methods,
     update_by,
 )
 from tracker import Failure, FloatArray
@@ -160,11 +159,7 @@ THEORY: Stage[BeamModes | str] = Stage(
 def beam_theory(context: Context) -> BeamModes | str:
     """Modes of the configured beam, or a sentence that says why there are none; ConfigError for impossible values."""
     config = context.config
-    try:
-        properties = beam_properties(config.beam)
-    except ValueError as error:
-        msg = f"[beam]: {error}"
-        raise ConfigError(msg) from error
+    properties = beam_properties(config.beam)
     if isinstance(properties, str):
         return properties
     highest = max((r.mode for r in config.recordings if r.mode is not None), default=1)
@@ -208,7 +203,7 @@ def update_beam(
             "modes": theory_modes.count,
             "seed": context.seed,
         }
-        methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
+        methods = {f"{RUN}.{name}": {"method": name, **common} for name in chosen_methods(settings)}
     found, *others = run_together(context, (UPDATES, methods), *added)
     recordings = _with_added(recordings, added, others)
     result = UPDATING.once(

@@ -45,6 +45,10 @@ def curvature(
     identified, tracks = recording.identified, recording.tracks
     if identified is None or beam is None:
         return Failure("the free length of the beam is unknown: give it in [beam]")
+    if not beam.standard.cantilever:
+        return Failure(
+            f"curvatures are known for a clamped and a free end only, not for {beam.standard.ends}"
+        )
     return beam_curvature(
         identified.series.positions_mm,
         unit_shape(mode),

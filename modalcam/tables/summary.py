@@ -170,6 +170,12 @@ def _updating(updated: Updating) -> dict[str, Any]:
                 "prior variance_ratio information determined undetermined effective_draws seed",
             ),
         },
+        "point_mass": updated.point_mass
+        and {
+            "most_probable": updated.point_mass.most_probable,
+            "regions_90": updated.point_mass.regions(),
+            "log_odds": updated.point_mass.log_odds,
+        },
         "evidence": [
             {
                 "model": model.name,

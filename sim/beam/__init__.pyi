@@ -22,8 +22,10 @@ from .beam import eigenmodes as eigenmodes
 from .beam import natural_modes as natural_modes
 from .properties import BeamProperties as BeamProperties
 from .properties import ElasticClamp as ElasticClamp
+from .properties import End as End
 from .properties import Orientation as Orientation
 from .properties import PointMass as PointMass
 from .statics import BuckledBeamError as BuckledBeamError
 from .statics import NoEquilibriumError as NoEquilibriumError
 from .statics import static_equilibrium as static_equilibrium
+from .statics import stiffness as stiffness

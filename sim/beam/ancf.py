@@ -17,8 +17,9 @@ instead of 2.4e-3. The frequencies of a straight beam change by less than 1e-7.
 
 Frame: x along the undeformed axis from the clamp, y across it ("transverse"). In the image (x right, y up) the axis of
 a hanging beam points down and transverse is right, of a standing one up and right, of a horizontal one right and up.
-The four coordinates of a rigid clamp are eliminated; a moving clamp translates the whole frame, which does not affect
-the elastic forces and enters as inertia only.
+The four coordinates of a rigid clamp at x = 0 are eliminated; those that another end holds stay in a state, held by
+springs, and are left out of modes. A moving clamp translates the whole frame, which does not affect the elastic forces
+and enters as inertia only.
 
 The unknowns are displacements from the straight unstrained beam, not positions: the axial strain is then a sum of small
 numbers, so that round-off affects neither the stiff axial force nor small vibrations.
@@ -33,6 +34,7 @@ Nonlinear Dyn. 45 (2006) 109-130, doi:10.1007/s11071-006-1856-1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -42,7 +44,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.beam.banded import BAND, PAD, band_product, from_band, to_band
-from sim.beam.properties import BeamProperties, Orientation
+from sim.beam.properties import BeamProperties, End, Orientation, PointMass
 from tracker import FloatArray
 
 
@@ -140,6 +142,13 @@ class Tuning:
     #: [1] translational stiffness of a clamp that only rotates, over EA / h of an element
     #: physics: In series with 3 EI / L^3 it adds (t / L)^2 h / (4000 L) of the compliance: 1e-11 for the paper's beam.
     held_by: float = 1e3
+    #: [1] stiffness that holds a coordinate of a pinned, guided or second clamped end in a state, over EA / h
+    #: physics: In series with EA / L of the beam it adds 1e-9 h / L of the compliance along the axis; less across it.
+    fixed_by: float = 1e9
+    #: [EI / (m L^3)] square of the angular frequency that rigid-body motions have in the static equilibrium
+    #: measurement: From 0.2 mm the decay of the paper's beam, pinned and free, is off by 3e-4 of that, with or without
+    #: weight; with 1e-3 without weight by 3e-2 (loads that turn), with 1 hanging by 2e-3 (the pendulum).
+    anchored_by: float = 0.1
     #: [lengths] a point this far beyond an end still lies on the beam; beyond, it is an error
     #: physics: Above the rounding of positions converted from mm, 1e-16, below what can be measured, 1e-5.
     slack: float = 1e-9
@@ -153,6 +162,14 @@ _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
     "none": ((0.0, -1.0), (1.0, 0.0)),
     "standing": ((0.0, 1.0), (1.0, 0.0)),
     "horizontal": ((1.0, 0.0), (0.0, 1.0)),
+}
+
+# coordinates of a node that an end holds
+_FIXED: dict[End, tuple[int, ...]] = {
+    "clamped": (0, 1, 2, 3),
+    "pinned": (0, 1),
+    "guided": (0, 2, 3),
+    "free": (),
 }
 
 
@@ -188,9 +205,9 @@ class ElasticState:
 
 @dataclass(frozen=True)
 class AncfBeam:
-    """Assembled arrays of a beam, with 4 free coordinates per element, and 4 more where the clamp is elastic.
+    """Assembled arrays of a beam, with 4 coordinates per element, and 4 more unless the first end is a rigid clamp.
 
-    A state holds the displacements of the free coordinates from the straight unstrained beam, node by node: (axial,
+    A state holds the displacements of these coordinates from the straight unstrained beam, node by node: (axial,
     transverse, axial slope, transverse slope), relative to the clamp. Of the `gauss_points` for the axial strain energy
     5 are exact and 3 the default (see above).
     """
@@ -238,11 +255,16 @@ class AncfBeam:
 
     @cached_property
     def bending_n_m(self) -> FloatArray:
-        """Constant stiffness of bending and of an elastic clamp, band form, shape (ndof, 15)."""
+        """Constant stiffness of bending, tension and elastic or held ends, band form, shape (ndof, 15)."""
         p = self.properties
         # two Gauss points are exact for bending
-        bending = self._assembled(p.elastic_modulus_pa * p.second_moment_m4, self.integral(2, 2))
-        return to_band((bending + self._clamp_springs())[self.held :, self.held :])
+        bending = self._assembled(
+            p.elastic_modulus_pa * p.second_moment_m4, self.integral(2, 2), self.tensioned_n_m
+        )
+        stiffness = (bending + self._clamp_springs())[self.held :, self.held :]
+        held = TUNING.fixed_by * np.max(self.axial_stiffness_n) / self.element_length_m
+        stiffness[self.fixed, self.fixed] += held * self.dof_scale[self.fixed] ** 2
+        return to_band(stiffness)
 
     @cached_property
     def weight_load_n(self) -> FloatArray:
@@ -256,13 +278,47 @@ class AncfBeam:
 
     @property
     def ndof(self) -> int:
-        """Number of free coordinates."""
+        """Number of coordinates of a state."""
         return 4 * (self.properties.elements + 1) - self.held
 
     @property
     def held(self) -> int:
-        """Number of coordinates that a rigid clamp eliminates."""
-        return 4 if self.properties.clamp is None else 0
+        """Number of coordinates that a rigid clamp at the first end eliminates."""
+        return 4 if self.properties.clamp is None and self.properties.ends[0] == "clamped" else 0
+
+    @cached_property
+    def fixed(self) -> NDArray[np.int64]:
+        """Indices of the held coordinates within a state, which are zero in every mode."""
+        first, last = (np.array(_FIXED[end], dtype=np.int64) for end in self.properties.ends)
+        if self.properties.ends[0] == "clamped":
+            first = first[:0]
+        return np.concatenate([first, self.ndof - 4 + last])
+
+    @cached_property
+    def free(self) -> NDArray[np.int64]:
+        """Indices of the coordinates that can move among all, those of a rigid clamp included."""
+        return self.held + np.setdiff1d(np.arange(self.ndof), self.fixed)
+
+    @cached_property
+    def anchor_n_m(self) -> FloatArray:
+        """Stiffness that keeps rigid-body motions from making a static equilibrium singular, shape (ndof, ndof).
+
+        Zero for a beam that its ends hold. A load that does no work on these motions does not depend on it.
+        """
+        p, motions = self.properties, self.properties.rigid_body_motions
+        rigid = np.zeros((self.ndof // 4, 4, len(motions) + (p.ends == ("free", "free"))))
+        along = np.linspace(0.0, p.length_m, self.ndof // 4)
+        for k, motion in enumerate(motions):
+            pivot = 0.5 if p.ends == ("free", "free") else float(p.ends[1] == "pinned")
+            rigid[:, 1, k] = 1.0 if motion == "translation" else along - pivot * p.length_m
+            rigid[:, 3, k] = motion == "rotation"
+        rigid[:, 0, len(motions) :] = 1.0
+        shapes = rigid.reshape(self.ndof, -1)
+        momentum = self.mass_matrix() @ shapes
+        square = p.elastic_modulus_pa * np.mean(p.second_moment_m4) / (p.mass_kg * p.length_m**3)
+        return np.asarray(
+            TUNING.anchored_by * square * momentum @ np.linalg.solve(shapes.T @ momentum, momentum.T)
+        )
 
     @property
     def axis(self) -> tuple[float, float]:
@@ -325,10 +381,14 @@ class AncfBeam:
         by_element = self.elements(v)
         strain, turned = self.strained(q)
         slope, curve = by_element @ self.dshape.T, by_element @ self.curvature.T
-        stretch = np.sum(slope * turned[..., np.newaxis, :, :, :], axis=-2) ** 2
-        stretch = (stretch + strain[..., np.newaxis, :, :] * np.sum(slope**2, axis=-2)) @ self.weight_m
+        stretch, square = (
+            np.sum(slope * turned[..., np.newaxis, :, :, :], axis=-2) ** 2,
+            np.sum(slope**2, axis=-2),
+        )
+        stretch = (stretch + strain[..., np.newaxis, :, :] * square) @ self.weight_m
         bending = 0.5 * self.element_length_m * np.sum(curve**2, axis=(-2, -1))
         energy = np.sum(stretch * axial[..., np.newaxis, :] + bending * bend[..., np.newaxis, :], axis=-1)
+        energy = energy + p.tension_n * np.sum(square @ self.weight_m, axis=-1)
         displacement, rotation = self.springs(axial)
         root = np.sum(by_element[..., 0, :, :2] ** 2, axis=-2)
         return np.asarray(energy + displacement[..., np.newaxis] * root[..., 0] + rotation * root[..., 1])
@@ -426,17 +486,25 @@ class AncfBeam:
         shapes = shape_functions(0.5 * (nodes + 1.0), self.element_length_m, derivative)
         return np.asarray(np.einsum("g,gk,gl->kl", 0.5 * self.element_length_m * weights, shapes, shapes))
 
-    @cached_property
-    def point_masses_kg(self) -> FloatArray:
-        """Inertia of the point masses in one direction over all nodes, (displacement, slope) each."""
+    def bodies_kg(self, points: Sequence[PointMass]) -> FloatArray:
+        """Inertia of point masses in one direction over all nodes, (displacement, slope) each."""
         mass = np.zeros((2 * (self.properties.elements + 1),) * 2)
-        for point in self.properties.point_masses:
+        for point in points:
             # |dr'/dt| is the rate of rotation, apart from the rate of strain
             for inertia, derivative in ((point.mass_kg, 0), (point.rotary_inertia_kg_m2, 1)):
                 at = np.zeros(mass.shape[0])
                 at[self.held // 2 :] = self.interpolation(np.array([point.position_m]), derivative)[0]
                 mass += inertia * np.outer(at, at)
         return mass
+
+    @cached_property
+    def tensioned_n_m(self) -> FloatArray:
+        """Stiffness of the tension at rest in one direction over all nodes, (displacement, slope) each.
+
+        Of its work ``T int eps dx`` the ends carry what is linear in the displacement.
+        """
+        p = self.properties
+        return self._assembled(np.full(p.elements, p.tension_n), self.integral(1, 3))[::2, ::2]
 
     def _assembled(
         self, values: FloatArray, unit: FloatArray, constant: FloatArray | float = 0.0
@@ -450,7 +518,8 @@ class AncfBeam:
     @cached_property
     def _mass_with_clamp(self) -> FloatArray:
         p = self.properties
-        return self._assembled(p.density_kg_m3 * p.area_m2, self.integral(0, 4), self.point_masses_kg)
+        bodies = self.bodies_kg(p.point_masses)
+        return self._assembled(p.density_kg_m3 * p.area_m2, self.integral(0, 4), bodies)
 
     @cached_property
     def _translation_kg(self) -> FloatArray:

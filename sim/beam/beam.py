@@ -11,7 +11,14 @@ import numpy as np
 
 from sim.beam.ancf import AncfBeam
 from sim.beam.banded import decoupled, from_band
-from sim.beam.properties import STANDARD_GRAVITY_M_S2, BeamProperties, ElasticClamp, Orientation, PointMass
+from sim.beam.properties import (
+    STANDARD_GRAVITY_M_S2,
+    BeamProperties,
+    ElasticClamp,
+    End,
+    Orientation,
+    PointMass,
+)
 from sim.beam.statics import static_equilibrium
 from tracker import FloatArray, checked
 
@@ -21,7 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BeamModes:
-    """Undamped bending modes in order of frequency.
+    """Undamped bending modes in order of frequency, without the motions of a rigid beam that its ends allow.
+
+    These are `beam.properties.rigid_body_motions`, and have no number. Under gravity the rotation about a pin is the
+    swing of a pendulum.
 
     Attributes
     ----------
@@ -29,7 +39,7 @@ class BeamModes:
         State of linearisation.
     omega_rad_s : array, shape (m,)
     phi : array, shape (ndof, m)
-        Mass-normalised shapes, ``phi^T M phi = 1``, positive at the tip.
+        Mass-normalised shapes, ``phi^T M phi = 1``, positive at the antinode.
     """
 
     beam: AncfBeam
@@ -50,6 +60,10 @@ class BeamModes:
     def transverse_at(self, s_m: FloatArray) -> FloatArray:
         """Transverse part of the mass-normalised shapes at `s_m`, shape (k, m), in kg^-1/2."""
         return self.beam.transverse_at(s_m, self.phi.T).T
+
+    def antinode_m(self, mode_number: int) -> FloatArray:
+        """Distance to the tip or, where the second end cannot move, to the node that moves most, shape (1,)."""
+        return _antinode_m(self.beam, self.phi[:, mode_number - 1])
 
     def first(self, count: int) -> BeamModes:
         """The lowest `count` of these modes."""
@@ -79,7 +93,8 @@ class BeamModes:
         return ax
 
     def __repr__(self) -> str:
-        return f"BeamModes({self.count} modes: {', '.join(f'{f:.3g}' for f in self.frequency_hz)} Hz)"
+        rigid = "".join(f", rigid-body {name}" for name in self.beam.properties.rigid_body_motions)
+        return f"BeamModes({self.count} modes: {', '.join(f'{f:.3g}' for f in self.frequency_hz)} Hz{rigid})"
 
     def _repr_html_(self) -> str:
         return str(self.to_dataframe().to_html(index=False))
@@ -94,11 +109,13 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     Raises
     ------
     ValueError
-        If the mesh does not have that many bending modes, twice the number of elements.
+        If the mesh does not have that many bending modes, twice the number of elements for a cantilever.
     BuckledBeamError
         If a standing beam cannot carry its own weight.
     """
-    limit = 2 * beam.properties.elements
+    rigid = len(beam.properties.rigid_body_motions)
+    lowest = slice(rigid, rigid + count)
+    limit = int(np.count_nonzero(beam.free % 2)) - rigid
     if not 1 <= count <= limit:
         msg = f"{beam.properties.elements} elements have 1 to {limit} bending modes, {count} were requested"
         raise ValueError(msg)
@@ -106,30 +123,40 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     state = beam.elastic(q)
     straight = decoupled(state.tangent)
     # motion along the axis of a straight beam is left out: its stiffness is seven decades higher
-    moving = slice(1, None, 2) if straight else slice(None)
+    moving = beam.free - beam.held
+    moving = moving[moving % 2 == 1] if straight else moving
     stiffness, mass, axial = (
-        from_band(band)[np.newaxis, moving, moving]
+        from_band(band)[np.newaxis, moving[:, np.newaxis], moving]
         for band in (state.tangent, beam.mass_kg, state.axial_tangent)
     )
     squares, shapes = eigenmodes(stiffness, mass, beam.dof_scale[moving], None if straight else axial)
     phi = np.zeros((beam.ndof, count))
-    phi[moving] = shapes[0, :, :count]
+    phi[moving] = shapes[0, :, lowest]
     padded = np.zeros((1 + count, beam.held + beam.ndof))
     padded[0, beam.held :], padded[1:, beam.held :] = q, phi.T
     square = beam.second_variation(padded[0], padded[1:])
     stretch = np.einsum("im,im->m", phi, from_band(state.axial_tangent) @ phi)
     bending = int(
         np.count_nonzero(
-            (square > 0.0) & (squares[0, :count] > 0.0) & (straight | (stretch < TUNING.axial_share * square))
+            (square > 0.0) & (squares[0, lowest] > 0.0) & (straight | (stretch < TUNING.axial_share * square))
         )
     )
     if bending < count:
         msg = f"the mesh of {beam.properties.elements} elements has only {bending} bending modes"
         raise ValueError(msg)
-    tip = beam.transverse_at(np.array([beam.properties.length_m]), phi.T)[:, 0]
-    return BeamModes(
-        beam=beam, equilibrium=q, omega_rad_s=np.sqrt(square), phi=phi * np.where(tip < 0.0, -1.0, 1.0)
-    )
+    largest = [beam.transverse_at(_antinode_m(beam, shape), shape)[0] for shape in phi.T]
+    signs = np.where(np.array(largest) < 0.0, -1.0, 1.0)
+    return BeamModes(beam=beam, equilibrium=q, omega_rad_s=np.sqrt(square), phi=phi * signs)
+
+
+def _antinode_m(beam: AncfBeam, shape: FloatArray) -> FloatArray:
+    length = beam.properties.length_m
+    if beam.properties.ends[1] in ("free", "guided"):
+        return np.array([length])
+    nodes = np.linspace(0.0, length, beam.properties.elements + 1)
+    # of the two equal ones of a symmetric shape the nearer to the second end
+    moved = np.abs(beam.transverse_at(nodes, shape))
+    return nodes[[np.flatnonzero(moved > (1.0 - TUNING.equal) * np.max(moved))[-1]]]
 
 
 def eigenmodes(
@@ -171,6 +198,9 @@ class Tuning:
     #: [1] axial share of a mode's strain energy from which it is no bending mode
     #: measurement: The modes of the horizontal paper's beam have below 0.05 or above 0.93.
     axial_share: float = 0.5
+    #: [1] difference of two amplitudes along a mode below which they count as equal
+    #: physics: Above the rounding of a symmetric mode, far below the difference of its antinodes where it has none.
+    equal: float = 1e-6
 
 
 TUNING = Tuning()
@@ -179,7 +209,7 @@ _POSITIVE = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """A cantilever of rectangular section, clamped at one end and free at the other.
+    """A beam of rectangular section, clamped at the first end and free at the other unless `ends` says otherwise.
 
     Parameters
     ----------
@@ -197,6 +227,10 @@ class Beam:
         For ``orientation="angled"``: from hanging, counter-clockwise in the image; 90 points right, 180 up.
     clamp : ElasticClamp, optional
         Rigid when absent.
+    ends : tuple of {"clamped", "pinned", "free", "guided"}
+        At s = 0 and at s = length.
+    tension_n : float
+        Axial force at rest without weight, between two ends that are not free.
     gravity_m_s2 : float
 
     Raises
@@ -221,6 +255,8 @@ class Beam:
     point_masses: tuple[PointMass, ...] = ()
     angle_deg: float | None = None
     clamp: ElasticClamp | None = None
+    ends: tuple[End, End] = ("clamped", "free")
+    tension_n: float = 0.0
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
 
     def __post_init__(self) -> None:
@@ -251,6 +287,8 @@ class Beam:
             gravity_m_s2=self.gravity_m_s2,
             angle_deg=self.angle_deg,
             clamp=self.clamp,
+            ends=self.ends,
+            tension_n=self.tension_n,
         )
 
     def __repr__(self) -> str:

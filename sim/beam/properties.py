@@ -1,4 +1,4 @@
-"""Properties of a thin cantilever, element by element, and its orientation relative to gravity."""
+"""Properties of a thin beam, element by element, its ends, and its orientation relative to gravity."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from tracker import FloatArray, checked
 
 Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
+End = Literal["clamped", "pinned", "free", "guided"]
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 
@@ -33,6 +34,10 @@ class PointMass:
     def __post_init__(self) -> None:
         for name in ("position_m", "mass_kg", "rotary_inertia_kg_m2"):
             checked(f"{name} of a point mass", getattr(self, name), at_least=0.0)
+
+    def scaled(self, factor: float) -> PointMass:
+        """A body of `factor` times this mass and rotary inertia."""
+        return PointMass(self.position_m, factor * self.mass_kg, factor * self.rotary_inertia_kg_m2)
 
 
 @dataclass(frozen=True)
@@ -59,17 +64,21 @@ class ElasticClamp:
 
 @dataclass(frozen=True)
 class BeamProperties:
-    """A cantilever of rectangular section, clamped at s = 0 and free at s = length, in SI units.
+    """A beam of rectangular section, by default a cantilever clamped at s = 0 and free at s = length, in SI units.
 
-    Elements have equal length, each with constant width and thickness, arrays of shape (ne,) from the clamp to the tip.
-    The beam bends about its width: the second moment of area is ``width thickness^3 / 12``. Orientation "none" is a
-    beam without weight, shown hanging; `angle_deg`, only of an angled beam, counts from hanging, counter-clockwise in
-    the image (90 points right, 180 up). Without a `clamp` the clamp is rigid.
+    Of the `ends`, at s = 0 and at s = length, "clamped" holds position and rotation, "pinned" the position, "guided"
+    the rotation and the position along the beam; "free" holds nothing. Elements have equal length, each with constant
+    width and thickness, arrays of shape (ne,) from the first end. The beam bends about its width: the second moment of
+    area is ``width thickness^3 / 12``. Orientation "none" is a beam without weight, shown hanging; `angle_deg`, only of
+    an angled beam, counts from hanging, counter-clockwise in the image (90 points right, 180 up). Without a `clamp`,
+    which is that of the first end, a clamped end is rigid. The axial force `tension_n`, negative in compression, is
+    that of the straight beam without weight between two ends that hold it, and the dimensions are those under it.
 
     Raises
     ------
     ValueError
-        If a dimension is not finite and positive, the arrays do not match, or a point mass is outside the beam.
+        If a dimension is not finite and positive, the arrays do not match, a point mass is outside the beam, or `ends`,
+        `clamp`, `tension_n` and weight contradict each other.
     """
 
     length_m: float
@@ -82,11 +91,14 @@ class BeamProperties:
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
     angle_deg: float | None = None
     clamp: ElasticClamp | None = None
+    ends: tuple[End, End] = ("clamped", "free")
+    tension_n: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("length_m", "density_kg_m3", "elastic_modulus_pa"):
             checked(name, getattr(self, name), positive=True)
         checked("gravity_m_s2", self.gravity_m_s2, at_least=0.0)
+        checked("tension_n", self.tension_n)
         if self.orientation not in get_args(Orientation):
             msg = f"orientation must be one of {', '.join(get_args(Orientation))}, got {self.orientation!r}"
             raise ValueError(msg)
@@ -112,6 +124,23 @@ class BeamProperties:
                     f"{self.length_m} m long"
                 )
                 raise ValueError(msg)
+        self._check_ends()
+
+    def _check_ends(self) -> None:
+        ends, problem = " and ".join(map(repr, self.ends)), None
+        if len(self.ends) != 2 or not set(self.ends) <= set(get_args(End)):
+            problem = f"ends must be two of {', '.join(get_args(End))}"
+        elif self.clamp is not None and self.ends[0] != "clamped":
+            problem = "an elastic clamp is the first end of a beam and needs it clamped"
+        elif self.tension_n != 0.0 and "free" in self.ends:
+            problem = f"a tension of {self.tension_n} N needs two ends that hold the beam along its axis"
+        elif self.orientation != "none" and self.gravity_m_s2 > 0.0 and self.rigid_body_motions:
+            across = self.orientation in ("horizontal", "angled")
+            if across or self.ends == ("free", "free"):
+                problem = 'nothing holds this beam against its weight: neglect it with orientation "none"'
+        if problem is not None:
+            msg = f"{problem}; got the ends {ends} with orientation {self.orientation!r}"
+            raise ValueError(msg)
 
     @classmethod
     def uniform(
@@ -128,6 +157,8 @@ class BeamProperties:
         gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
         angle_deg: float | None = None,
         clamp: ElasticClamp | None = None,
+        ends: tuple[End, End] = ("clamped", "free"),
+        tension_n: float = 0.0,
     ) -> BeamProperties:
         """Build a beam with the same section in all `elements`."""
         if elements < 1:
@@ -144,7 +175,22 @@ class BeamProperties:
             gravity_m_s2=gravity_m_s2,
             angle_deg=angle_deg,
             clamp=clamp,
+            ends=ends,
+            tension_n=tension_n,
         )
+
+    @property
+    def cantilever(self) -> bool:
+        """Whether the first end is clamped, elastically or not, and the second one free."""
+        return self.ends == ("clamped", "free")
+
+    @property
+    def rigid_body_motions(self) -> tuple[str, ...]:
+        """Motions across the beam that its ends allow without bending: "translation", "rotation"."""
+        positions = sum(end in ("clamped", "pinned") for end in self.ends)
+        rotations = sum(end in ("clamped", "guided") for end in self.ends)
+        free = {"translation": positions == 0, "rotation": rotations == 0 and positions < 2}
+        return tuple(name for name, moves in free.items() if moves)
 
     @property
     def elements(self) -> int:
@@ -174,14 +220,17 @@ class BeamProperties:
         thickness: float | FloatArray = 1.0,
         density: float = 1.0,
         elastic_modulus: float = 1.0,
+        point_masses: float | FloatArray = 1.0,
     ) -> BeamProperties:
-        """The beam with its properties multiplied by factors, for width and thickness one or one per element."""
+        """The beam with its properties multiplied by factors: one, or one per element or point mass."""
+        factors = np.broadcast_to(point_masses, len(self.point_masses))
         return replace(
             self,
             width_m=self.width_m * width,
             thickness_m=self.thickness_m * thickness,
             density_kg_m3=self.density_kg_m3 * density,
             elastic_modulus_pa=self.elastic_modulus_pa * elastic_modulus,
+            point_masses=tuple(p.scaled(float(f)) for p, f in zip(self.point_masses, factors, strict=True)),
         )
 
 

@@ -115,6 +115,11 @@ def static_equilibrium(
     return _stable(beam, q, tip_moment_n_m)
 
 
+def stiffness(beam: AncfBeam, q: FloatArray) -> FloatArray:
+    """Tangent of the static equilibrium at the state `q`, rigid-body motions anchored; shape (ndof, ndof)."""
+    return from_band(beam.elastic(q).tangent) + beam.anchor_n_m
+
+
 def _newton(
     beam: AncfBeam, extra: FloatArray, moment: float, share: float, start: FloatArray
 ) -> FloatArray | None:
@@ -125,12 +130,12 @@ def _newton(
     previous = np.inf
     for iteration in range(TUNING.iterations):
         state = beam.elastic(q)
-        residual = share * (beam.weight_load_n + extra) - state.force_n
+        residual = share * (beam.weight_load_n + extra) - state.force_n - beam.anchor_n_m @ q
         tangent = state.tangent
         if moment != 0.0:
             residual[-2:], tangent = _with_moment(q, residual[-2:], tangent, share * moment)
         try:
-            delta = np.linalg.solve(from_band(tangent), residual)
+            delta = np.linalg.solve(from_band(tangent) + beam.anchor_n_m, residual)
         except np.linalg.LinAlgError:
             return None
         size = float(np.max(np.abs(delta * scale)))
@@ -173,12 +178,12 @@ def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
         return q
     scale = beam.dof_scale
     try:
-        np.linalg.cholesky(from_band(beam.elastic(q).tangent) * np.outer(scale, scale))
+        np.linalg.cholesky(stiffness(beam, q) * np.outer(scale, scale))
     except np.linalg.LinAlgError as error:
         upright = beam.properties.orientation == "angled" and beam.axis[1] > TUNING.upright
         if beam.properties.orientation == "standing" or upright:
             raise BuckledBeamError(_buckling_message(beam)) from error
-        msg = "the static equilibrium is unstable; check the direction and size of the load"
+        msg = "the static equilibrium is unstable; check the direction and size of load and tension"
         raise NoEquilibriumError(msg) from error
     return q
 

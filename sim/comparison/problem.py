@@ -96,8 +96,8 @@ class DecaySetting:
 
     @property
     def tip_amplitude_m(self) -> float:
-        """Initial amplitude of the target mode at the tip, by the beam's shape."""
-        tip = self.modes.transverse_at(np.array([self.beam.properties.length_m]))[0, self.at]
+        """Initial amplitude of the target mode at the tip or its antinode, by the beam's shape."""
+        tip = self.modes.transverse_at(self.modes.antinode_m(self.at + 1))[0, self.at]
         return abs(self.coordinate * float(tip))
 
     @property

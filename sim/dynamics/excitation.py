@@ -20,8 +20,8 @@ from sim.beam import (
     BeamProperties,
     NoEquilibriumError,
     ancf_beam,
-    from_band,
     static_equilibrium,
+    stiffness,
 )
 from sim.damping import DampingModel, GenericDamping
 from sim.dynamics.simulate import (
@@ -106,8 +106,7 @@ def state_from_modes(
     count = displacement.size
     loads = beam.mass_matrix() @ (modes.phi[:, :count] * modes.omega_rad_s[:count] ** 2)
     q = static_equilibrium(beam, loads @ displacement)
-    tangent = from_band(beam.elastic(q).tangent)
-    return State(q, np.asarray(np.linalg.solve(tangent, loads @ velocity)))
+    return State(q, np.asarray(np.linalg.solve(stiffness(beam, q), loads @ velocity)))
 
 
 def state_with_coordinates(
@@ -129,7 +128,7 @@ def state_with_coordinates(
     share, q = displacement.copy(), modes.equilibrium
     for _ in range(TUNING.rounds):
         q = static_equilibrium(beam, loads @ share, start=q)
-        family = np.linalg.solve(from_band(beam.elastic(q).tangent), loads)
+        family = np.linalg.solve(stiffness(beam, q), loads)
         moved = rows @ family
         missed = displacement - rows @ (q - modes.equilibrium)
         if np.max(np.abs(missed)) <= TUNING.coordinate_error * np.max(np.abs(displacement), initial=0.0):
@@ -140,16 +139,16 @@ def state_with_coordinates(
 
 
 def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displacement_m: float) -> State:
-    """State at rest under the load of one mode, with the given displacement of the tip, however large.
+    """State at rest under the load of one mode, with the given displacement of its antinode, however large.
 
     Raises
     ------
     ValueError
-        If this load cannot displace the tip that far.
+        If this load cannot displace it that far.
     """
     unit = np.zeros(mode_number)
     unit[-1] = 1.0
-    tip = np.array([beam.properties.length_m])
+    tip = modes.antinode_m(mode_number)
     load = beam.mass_matrix() @ modes.phi[:, mode_number - 1] * modes.omega_rad_s[mode_number - 1] ** 2
     rest = beam.transverse_at(tip, modes.equilibrium)[0]
     coordinate = tip_displacement_m / modes.transverse_at(tip)[0, mode_number - 1]
@@ -159,7 +158,7 @@ def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displ
         miss = tip_displacement_m - (beam.transverse_at(tip, q)[0] - rest)
         if abs(miss) < TUNING.tip_error * beam.properties.length_m:
             return State(q, np.zeros_like(q))
-        slope = beam.transverse_at(tip, np.linalg.solve(from_band(beam.elastic(q).tangent), load))[0]
+        slope = beam.transverse_at(tip, np.linalg.solve(stiffness(beam, q), load))[0]
         most = TUNING.longest_move * abs(coordinate)
         coordinate += float(np.clip(miss / slope, -most, most))
     msg = f"no load of mode {mode_number} displaces the tip by {tip_displacement_m} m"
@@ -213,7 +212,7 @@ def shake_and_stop(
         msg = f"mode {mode_number} is undamped and has no steady state at resonance; give a damping model"
         raise ValueError(msg)
     omega = float(modes.omega_rad_s[mode_number - 1])
-    tip = modes.transverse_at(np.array([beam.properties.length_m]))[0]
+    tip = modes.transverse_at(modes.antinode_m(mode_number))[0]
     response = steady_response(modes, ratio, omega)
     amplitude = tip_amplitude_m / abs(complex(tip @ response))
     motion = HarmonicThenStop(amplitude, omega, shake_s, stop_s)
@@ -349,7 +348,7 @@ def simulate_free_decay(
         msg = f"mode must be at most {modes.count} with {properties.elements} elements, got {mode}"
         raise ValueError(msg)
     omega = float(modes.omega_rad_s[mode - 1])
-    tip_m = np.array([properties.length_m])
+    tip_m = modes.antinode_m(mode)
     run = simulate(
         assembled,
         model,

@@ -2,7 +2,8 @@
 
 `update_like_paper`: without gravity, every width and thickness, density and modulus free within a bound.
 `update_uniform`: with gravity, one change along the whole beam. `update_bayesian`: with gravity, smooth fields and a
-sampled posterior. `compare_models` selects between kinds of beam; `update` does all of them.
+sampled posterior. `find_point_mass` looks for a mass that the beam lacks; `compare_models` selects between kinds of
+beam; `update` does all of them.
 """
 
 import lazy_loader

@@ -68,30 +68,36 @@ class FamilyModes:
 
 @dataclass(frozen=True)
 class BeamFamily:
-    """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`."""
+    """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`.
+
+    The last `bodies` of the standard beam's point masses have a factor each, on mass and rotary inertia.
+    """
 
     standard: BeamProperties
     count: int
     points: tuple[MeasuredShape, ...] = ()
+    bodies: int = 0
 
     @cached_property
     def _matrices(self) -> BeamMatrices:
-        return BeamMatrices(self.standard)
+        return BeamMatrices(self.standard, self.bodies)
 
     @property
     def variables(self) -> int:
-        """Number of variables, widths, thicknesses, density, modulus: 2 ne + 2."""
-        return 2 * self.standard.elements + 2
+        """Number of variables, widths, thicknesses, density, modulus, unknown point masses: 2 ne + 2 + b."""
+        return 2 * self.standard.elements + 2 + self.bodies
 
     def properties(self, log_factor: FloatArray) -> BeamProperties:
         """The beam of one set of factors, shape (v,)."""
         ne = self.standard.elements
         factor = np.exp(log_factor)
+        masses = np.append(np.ones(len(self.standard.point_masses) - self.bodies), factor[2 * ne + 2 :])
         return self.standard.scaled(
             width=factor[:ne],
             thickness=factor[ne : 2 * ne],
-            density=float(factor[-2]),
-            elastic_modulus=float(factor[-1]),
+            density=float(factor[2 * ne]),
+            elastic_modulus=float(factor[2 * ne + 1]),
+            point_masses=masses,
         )
 
     def modes(self, log_factor: FloatArray, *, slopes: bool = False) -> FamilyModes:
@@ -118,11 +124,13 @@ class BeamFamily:
     def _modes(self, u: FloatArray, *, slopes: bool) -> FamilyModes:
         state = self._matrices.state(u)
         square, phi = self._solve(state)
-        first = phi[:, :, : self.count]
+        rigid = len(self.standard.rigid_body_motions)
+        bending = slice(rigid, rigid + self.count)
+        first = phi[:, :, bending]
         own = np.swapaxes(first, 1, 2)
         moved = self._matrices.full(own, self._matrices.modal)
         known = self._matrices.beam.second_variation(state.q, moved, state.bend, state.axial)
-        known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
+        known = np.where((square[:, bending] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
         readings = self._readings
         shapes = tuple(
@@ -132,7 +140,7 @@ class BeamFamily:
         if not slopes:
             return FamilyModes(frequency, shapes, np.zeros((u.shape[0], 0, u.shape[1])), ())
         mixed = [
-            self._mixture(reading, square, phi, point.mode_number - 1)
+            self._mixture(reading, square, phi, rigid + point.mode_number - 1)
             for reading, point in zip(readings, self.points, strict=True)
         ]
         # one call for all frequencies and all points of all shapes
@@ -161,7 +169,7 @@ class BeamFamily:
 
     def _solve(self, state: BeamStates) -> tuple[FloatArray, FloatArray]:
         """Squares of the angular frequencies, (n, d), and mass-normalised shapes, (n, d, d); bending modes first."""
-        scale = np.repeat(self._matrices.scale[self._matrices.held :], len(self._matrices.modal))
+        scale = self._matrices.scale(self._matrices.modal)
         lost = ~np.all(np.isfinite(state.modal_k), axis=(1, 2))
         stiffness = np.where(lost[:, np.newaxis, np.newaxis], 0.0, state.modal_k)
         stretch = None if state.stretch_k is None else np.nan_to_num(state.stretch_k)

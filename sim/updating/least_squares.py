@@ -93,9 +93,9 @@ class Misfit:
     measured: MeasuredModes
 
     @classmethod
-    def of(cls, properties: BeamProperties, measured: MeasuredModes) -> Misfit:
-        """Misfit of the family of `properties`."""
-        return cls(BeamFamily(properties, measured.highest, measured.shapes), measured)
+    def of(cls, properties: BeamProperties, measured: MeasuredModes, bodies: int = 0) -> Misfit:
+        """Misfit of the family of `properties`, whose last `bodies` point masses are unknown."""
+        return cls(BeamFamily(properties, measured.highest, measured.shapes, bodies), measured)
 
     @cached_property
     def root(self) -> FloatArray:

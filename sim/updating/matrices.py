@@ -38,6 +38,8 @@ class BeamStates:
     ----------
     bend, axial, mass : array, shape (n, ne)
         EI, EA and rho A of each element.
+    body : array, shape (n, b)
+        Factors of the unknown point masses.
     q : array, shape (n, 4 (ne + 1))
         Equilibria; NaN where there is none.
     static_k : array, shape (n, c, c)
@@ -50,6 +52,7 @@ class BeamStates:
     bend: Array
     axial: Array
     mass: Array
+    body: Array
     q: Array
     static_k: Array
     modal_k: Array
@@ -59,9 +62,10 @@ class BeamStates:
 
 @dataclass(frozen=True)
 class BeamMatrices:
-    """Matrices of beams that differ from a standard one by factors."""
+    """Matrices of beams that differ from a standard one by factors; its last `bodies` point masses have one each."""
 
     standard: BeamProperties
+    bodies: int = 0
 
     @cached_property
     def beam(self) -> AncfBeam:
@@ -96,40 +100,46 @@ class BeamMatrices:
         """Directions of the vibration."""
         return (1,) if self.straight else (0, 1)
 
-    @cached_property
-    def held(self) -> int:
-        """Number of coordinates of one direction that a rigid clamp eliminates."""
-        return self.beam.held // 2
-
-    @cached_property
-    def scale(self) -> FloatArray:
-        """Displacement in m that corresponds to one unit of each coordinate of one direction, shape (2 (ne + 1),)."""
-        return np.tile([1.0, self.beam.element_length_m], self.standard.elements + 1)
+    def scale(self, directions: tuple[int, ...]) -> FloatArray:
+        """Displacement in m that corresponds to one unit of each free coordinate of some directions."""
+        return np.where(self.free(directions) % 4 < 2, 1.0, self.beam.element_length_m)
 
     def free(self, directions: tuple[int, ...]) -> NDArray[np.int64]:
         """Indices of the free coordinates of some directions among all."""
-        every = np.arange(4 * (self.standard.elements + 1)).reshape(-1, 2)
-        return np.asarray(every[self.held :, list(directions)].ravel(), dtype=np.int64)
+        return self._free[directions]
+
+    @cached_property
+    def _free(self) -> dict[tuple[int, ...], NDArray[np.int64]]:
+        free = self.beam.free
+        return {(0,): free[free % 2 == 0], (1,): free[free % 2 == 1], (0, 1): free}
 
     def reading(self, positions_m: FloatArray) -> FloatArray:
         """Transverse displacement at points of the vibrating coordinates, shape (k, d)."""
         one = self.beam.interpolation(positions_m)
-        out = np.zeros((one.shape[0], one.shape[1], len(self.modal)))
-        out[:, :, -1] = one
-        return out.reshape(one.shape[0], -1)
+        out = np.zeros((one.shape[0], 4 * (self.standard.elements + 1)))
+        out[:, self.beam.held + 1 :: 2] = one
+        return out.take(self.free(self.modal), axis=1)
 
     @cached_property
     def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrices of one direction that the factors do not change: point masses, clamp springs, held translation."""
-        p, mass = self.standard, self.beam.point_masses_kg
-        springs, held = np.zeros_like(mass), np.zeros_like(mass)
+        """Matrices of one direction that no factor changes: known masses, springs and tension, held translation."""
+        p = self.standard
+        mass = self.beam.bodies_kg(p.point_masses[: len(p.point_masses) - self.bodies])
+        springs, held = self.beam.tensioned_n_m.copy(), np.zeros_like(mass)
         if p.clamp is not None:
-            springs[1, 1] = p.clamp.rotation_n_m_rad
+            springs[1, 1] += p.clamp.rotation_n_m_rad
             if p.clamp.translation_n_m is None:
                 held[0, 0] = ancf.TUNING.held_by / self.beam.element_length_m
             else:
-                springs[0, 0] = p.clamp.translation_n_m
+                springs[0, 0] += p.clamp.translation_n_m
         return mass, springs, held
+
+    @cached_property
+    def body_kg(self) -> FloatArray:
+        """Inertia of each unknown point mass in one direction over all nodes, shape (b, 2 (ne + 1), 2 (ne + 1))."""
+        size = 2 * (self.standard.elements + 1)
+        unknown = self.standard.point_masses[len(self.standard.point_masses) - self.bodies :]
+        return np.reshape([self.beam.bodies_kg((point,)) for point in unknown], (-1, size, size))
 
     def gathered(self, by_element: Array) -> Array:
         """Sum over the elements, the transpose of `AncfBeam.elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
@@ -155,10 +165,11 @@ class BeamMatrices:
             out[:, at, at] += square[:, e]
         for d in range(c):
             out[:, d::c, d::c] += constant
-        return np.asarray(out[:, c * self.held :, c * self.held :])
+        free = self.free(directions) // (3 - c)
+        return np.asarray(out.take(free, axis=1).take(free, axis=2))
 
     def springs(self, axial: Array) -> Array:
-        """Stiffness of an elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
+        """Stiffness of tension and elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
         _, springs, held = self.constant
         return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
 
@@ -186,7 +197,7 @@ class BeamMatrices:
             blocks + _by_element(bend, self.units[0], len(directions)), self.springs(axial), directions
         )
 
-    def _residual(self, bend: Array, axial: Array, mass: Array, q: Array) -> Array:
+    def _residual(self, bend: Array, axial: Array, mass: Array, points: Array, q: Array) -> Array:
         """Weight minus elastic force over all coordinates, shape (n, 4 (ne + 1))."""
         strain, turned = self.beam.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
@@ -195,26 +206,24 @@ class BeamMatrices:
         force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
         force = force - bend[:, :, np.newaxis, np.newaxis] * (self.beam.elements(q) @ self.units[0])
         out = self.gathered(force)
-        constant, springs = self.constant[0], self.springs(axial)
-        rigid = np.zeros(constant.shape[0])
-        rigid[0::2] = 1.0
+        springs = self.springs(axial)
         for d in range(2):
             held = np.einsum("nij,nj->ni", springs, q[:, d::2])
-            out[:, d::2] += gravity[d] * (constant @ rigid) - held
+            out[:, d::2] += gravity[d] * np.sum(points[:, :, 0::2], axis=-1) - held
         return out
 
     @cached_property
     def _start(self) -> FloatArray:
         """Equilibrium of the standard beam, all coordinates, shape (4 (ne + 1),)."""
-        return np.asarray(self.full(static_equilibrium(self.beam), (0, 1)), dtype=np.float64)
+        return np.pad(static_equilibrium(self.beam), (self.beam.held, 0))
 
-    def _equilibrium(self, bend: Array, axial: Array, mass: Array) -> Array:
+    def _equilibrium(self, bend: Array, axial: Array, mass: Array, points: Array) -> Array:
         """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method does not converge."""
         q = np.repeat(self._start[np.newaxis].astype(bend.dtype), bend.shape[0], axis=0)
         if not np.any(self.beam.gravity_m_s2):
             return q
         free = self.free(self.static)
-        scale = np.repeat(self.scale[self.held :], len(self.static))
+        scale = self.scale(self.static)
         small, stalled = (
             x * self.standard.length_m for x in (statics.TUNING.settled, statics.TUNING.stalled)
         )
@@ -224,7 +233,7 @@ class BeamMatrices:
             todo = np.flatnonzero(~done)
             parts = bend[todo], axial[todo]
             tangent = self._stiffness(*parts, q[todo], self.static)
-            residual = self._residual(*parts, mass[todo], q[todo])[:, free]
+            residual = self._residual(*parts, mass[todo], points[todo], q[todo])[:, free]
             move = scaled_solve(tangent, residual[:, :, np.newaxis], scale)[:, :, 0]
             size = np.max(np.abs(move * scale), axis=1)
             q[todo[:, np.newaxis], free] += move
@@ -241,20 +250,23 @@ class BeamMatrices:
     def state(self, u: Array) -> BeamStates:
         """Equilibria and matrices of the beams with the log factors `u`, shape (n, v)."""
         ne, p = self.standard.elements, self.standard
-        width, thickness, density, modulus = u[:, :ne], u[:, ne : 2 * ne], u[:, [-2]], u[:, [-1]]
+        width, thickness, density, modulus = u[:, :ne], u[:, ne : 2 * ne], u[:, [2 * ne]], u[:, [2 * ne + 1]]
         bend = p.elastic_modulus_pa * p.second_moment_m4 * np.exp(modulus + width + 3.0 * thickness)
         axial = p.elastic_modulus_pa * p.area_m2 * np.exp(modulus + width + thickness)
         mass = p.density_kg_m3 * p.area_m2 * np.exp(density + width + thickness)
-        q = self._equilibrium(bend, axial, mass)
+        body = np.exp(u[:, 2 * ne + 2 :])
+        points = self.constant[0] + np.tensordot(body, self.body_kg, 1)
+        q = self._equilibrium(bend, axial, mass, points)
         blocks = _by_element(mass, self.units[1], len(self.modal))
         return BeamStates(
             bend,
             axial,
             mass,
+            body,
             q,
             self._stiffness(bend, axial, q, self.static),
             self._stiffness(bend, axial, q, self.modal),
-            self._assembled(blocks, self.constant[0], self.modal),
+            self._assembled(blocks, points, self.modal),
             None if self.straight else self._stiffness(bend, axial, q, self.modal, stretch_alone=True),
         )
 
@@ -274,13 +286,14 @@ def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:
 def changes(
     matrices: BeamMatrices, state: BeamStates, left: FloatArray, right: FloatArray, square: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, 2 ne + 2) each.
+    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, 2 ne + 2 + b) each.
 
-    With respect to the logarithms of widths, thicknesses, density and modulus; for vectors over the vibrating
-    coordinates, (n, f, d), and `square`, (n, f).
+    With respect to the logarithms of widths, thicknesses, density, modulus and unknown point masses; for vectors over
+    the vibrating coordinates, (n, f, d), and `square`, (n, f).
     """
     strain, turned = matrices.beam.strained(state.q)
-    w, v = (matrices.beam.elements(matrices.full(x, matrices.modal)) for x in (left, right))
+    left, right = (matrices.full(x, matrices.modal) for x in (left, right))
+    w, v = matrices.beam.elements(left), matrices.beam.elements(right)
     w_s, v_s = w @ matrices.gradient.T, v @ matrices.gradient.T
     w_t, v_t = (np.sum(x * turned[:, np.newaxis], axis=-2) for x in (w_s, v_s))
     wv = np.sum(w_s * v_s, axis=-2)
@@ -291,21 +304,25 @@ def changes(
     axial[:, :, 0] += held * np.sum(w[:, :, 0, :, 0] * v[:, :, 0, :, 0], axis=-1)
     axial *= state.axial[:, np.newaxis]
     kinetic = np.sum((w @ value) * v, axis=(-2, -1)) * state.mass[:, np.newaxis]
-    mass = -square[:, :, np.newaxis] * kinetic
+    two = (*left.shape[:2], -1, 2)
+    body = np.einsum("nfid,bij,nfjd->nfb", left.reshape(two), matrices.body_kg, right.reshape(two))
+    body = body * state.body[:, np.newaxis]
+    moved = kinetic, body
+    mass, body = (-square[:, :, np.newaxis] * x for x in moved)
     if np.any(matrices.beam.gravity_m_s2):
         # derivative of left^T K right with respect to the state
         along = w_s * v_t[..., np.newaxis, :] + v_s * w_t[..., np.newaxis, :]
         along += turned[:, np.newaxis] * wv[..., np.newaxis, :]
         more = _by_equilibrium(matrices, state, along)
-        bend, axial, mass = bend + more[0], axial + more[1], mass + more[2]
+        bend, axial, mass, body = bend + more[0], axial + more[1], mass + more[2], body + more[3]
     zero = np.zeros_like(bend)
-    return _to_variables(bend, axial, mass), _to_variables(zero, zero, kinetic)
+    return _to_variables(bend, axial, mass, body), _to_variables(zero, zero, *moved)
 
 
 def _by_equilibrium(
     matrices: BeamMatrices, state: BeamStates, along: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Contribution of the change of the equilibrium with log EI, log EA and log rho A, shape (n, f, ne) each.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Contribution of the change of the equilibrium with log EI, EA and rho A, (n, f, ne) each, and masses, (n, f, b).
 
     `along` is the derivative of a quantity with respect to the slopes at the Gauss points, over EA, shape
     (n, f, ne, 2, g). With the adjoint state a the contribution is ``a^T (F_weight - F_elastic)_p``.
@@ -313,9 +330,8 @@ def _by_equilibrium(
     strain, turned = matrices.beam.strained(state.q)
     q = matrices.beam.elements(state.q)
     weight = matrices.beam.weight_m * state.axial[:, :, np.newaxis]
-    a = matrices.beam.elements(
-        _adjoint(matrices, state, (along * weight[:, np.newaxis, :, np.newaxis]) @ matrices.gradient)
-    )
+    adjoint = _adjoint(matrices, state, (along * weight[:, np.newaxis, :, np.newaxis]) @ matrices.gradient)
+    a = matrices.beam.elements(adjoint)
     a_t = np.sum((a @ matrices.gradient.T) * turned[:, np.newaxis], axis=-2)
     curve, _, load = matrices.units
     bend = -np.sum(a * (q @ curve)[:, np.newaxis], axis=(-2, -1))
@@ -323,13 +339,15 @@ def _by_equilibrium(
     held = matrices.constant[2][0, 0] * state.axial[:, np.newaxis, 0]
     axial[:, :, 0] -= held * np.sum(a[:, :, 0, :, 0] * q[:, np.newaxis, 0, :, 0], axis=-1)
     mass = np.sum(a * np.outer(matrices.beam.gravity_m_s2, load), axis=(-2, -1))
-    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis]
+    fall = adjoint.reshape(*adjoint.shape[:2], -1, 2) @ matrices.beam.gravity_m_s2
+    body = fall @ np.sum(matrices.body_kg[:, :, 0::2], axis=-1).T * state.body[:, np.newaxis]
+    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis], body
 
 
 def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> FloatArray:
     """Solution of ``K a = nodal`` at the equilibrium; (n, f, ne, 2, 4) to all coordinates, (n, f, 4 (ne + 1))."""
     full = matrices.gathered(nodal)
-    scale = np.repeat(matrices.scale[matrices.held :], len(matrices.static))
+    scale = matrices.scale(matrices.static)
     rows = np.swapaxes(full[:, :, matrices.free(matrices.static)], 1, 2)
     lost = ~np.all(np.isfinite(state.static_k), axis=(1, 2))
     tangent = np.where(lost[:, np.newaxis, np.newaxis], np.eye(scale.size), state.static_k)
@@ -337,9 +355,9 @@ def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> Fl
     return matrices.full(np.swapaxes(solved, 1, 2), matrices.static)
 
 
-def _to_variables(bend: FloatArray, axial: FloatArray, mass: FloatArray) -> FloatArray:
-    """From derivatives by log EI, log EA and log rho A, (..., ne), to those by the variables, (..., 2 ne + 2)."""
+def _to_variables(bend: FloatArray, axial: FloatArray, mass: FloatArray, body: FloatArray) -> FloatArray:
+    """From derivatives by log EI, log EA and log rho A, (..., ne), and masses to those by the variables."""
     total = bend + axial + mass
     of_density = np.sum(mass, axis=-1, keepdims=True)
     of_modulus = np.sum(bend + axial, axis=-1, keepdims=True)
-    return np.concatenate([total, total + 2.0 * bend, of_density, of_modulus], axis=-1)
+    return np.concatenate([total, total + 2.0 * bend, of_density, of_modulus, body], axis=-1)

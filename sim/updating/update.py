@@ -16,13 +16,14 @@ from sim.updating.evidence import ModelComparison, compare_models
 from sim.updating.least_squares import PaperUpdate, UniformUpdate, update_like_paper, update_uniform
 from sim.updating.measured_modes import TUNING as MEASURED
 from sim.updating.measured_modes import MeasuredModes
+from sim.updating.point_mass import PointMassPosterior, find_point_mass
 from sim.updating.posterior import SmoothPrior
 from tracker import Column, Failure, FloatArray, IntArray, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Method = Literal["bayesian", "evidence", "paper", "uniform"]
+Method = Literal["bayesian", "evidence", "paper", "point_mass", "uniform"]
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,15 @@ class UpdatingSettings:
         Relative standard deviation of the model error of a frequency.
     draws : int
         Of the posterior.
+    point_mass : bool
+        Whether to look for a point mass that the beam lacks.
     """
 
     bound: float = 0.10
     correlation_length: float = 0.1
     model_sd: float = field(default_factory=lambda: MEASURED.model_sd)
     draws: int = field(default_factory=lambda: BAYESIAN.draws)
+    point_mass: bool = False
 
     @property
     def prior(self) -> SmoothPrior:
@@ -99,13 +103,14 @@ UPDATING_COLUMNS = (
 
 @dataclass(frozen=True)
 class Updating:
-    """Result of updating one beam by each method."""
+    """Result of updating one beam by each method; `point_mass` is None where none was looked for."""
 
     measured: MeasuredModes
     paper: PaperUpdate
     uniform: UniformUpdate
     bayesian: BayesianUpdate
     evidence: ModelComparison
+    point_mass: PointMassPosterior | None = None
 
     @property
     def properties(self) -> BeamProperties:
@@ -195,9 +200,12 @@ class Updating:
 
 
 _DEFAULT_SETTINGS = UpdatingSettings()
-UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | Failure
-# those that take longest first
-METHODS: tuple[Method, ...] = ("bayesian", "evidence", "paper", "uniform")
+UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | PointMassPosterior | Failure
+
+
+def chosen_methods(settings: UpdatingSettings) -> tuple[Method, ...]:
+    """Parts of `update`, those that take longest first."""
+    return (*(("point_mass",) if settings.point_mass else ()), "bayesian", "evidence", "paper", "uniform")
 
 
 def update(
@@ -220,7 +228,7 @@ def update(
     """
     parts = {
         method: update_by(method, properties, measured, settings, modes=modes, seed=seed)
-        for method in METHODS
+        for method in chosen_methods(settings)
     }
     return all_updates(measured, settings, parts)
 
@@ -243,6 +251,8 @@ def update_by(
             )
         if method == "evidence":
             return compare_models(standard, with_sd, prior=settings.prior, seed=seed)
+        if method == "point_mass":
+            return find_point_mass(standard, with_sd, prior=settings.prior, seed=seed)
         if method == "paper":
             return update_like_paper(standard, with_sd, bound=settings.bound, seed=seed)
         return update_uniform(standard, with_sd, bound=settings.bound)

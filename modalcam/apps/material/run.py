@@ -97,7 +97,7 @@ def departures(beam: BeamProperties, specimen: Specimen, moduli_pa: dict[int, fl
         orientation="none",
         elements=beam.elements,
     )
-    names = ("orientation", "point_masses", "gravity_m_s2", "angle_deg", "clamp")
+    names = ("orientation", "point_masses", "gravity_m_s2", "angle_deg", "clamp", "ends", "tension_n")
     full = replace(bare, **{name: getattr(beam, name) for name in names})
     slope = beam_modes(AncfBeam(bare), max(moduli_pa)).omega_rad_s ** 2
     return {n: _departure(full, n, e, float(slope[n - 1])) for n, e in moduli_pa.items()}

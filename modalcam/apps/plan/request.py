@@ -113,6 +113,9 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
         keys = (config.beam or BeamConfig()).missing()
         msg = f"{source}: a plan needs the beam; give {', '.join(f'beam.{key}' for key in keys)}"
         raise ConfigError(msg)
+    if not beam.cantilever:
+        msg = f"{source}: plans are made for a cantilever only; found beam.ends = {list(beam.ends)}"
+        raise ConfigError(msg)
     plan = config.plan
     assumed: list[str] = []
     chosen = "modes" in plan.model_fields_set

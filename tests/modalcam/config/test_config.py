@@ -168,6 +168,13 @@ def test_clamp_angle_and_inertia_are_set_in_the_beam():
     assert soft < rigid
 
 
+def test_ends_are_set_in_the_beam_and_what_they_contradict_is_named():
+    pinned = beam_properties(BeamConfig.model_validate({**BEAM, "ends": ["pinned", "pinned"]}))
+    assert pinned.ends == ("pinned", "pinned")
+    with pytest.raises(ConfigError, match=r"\[beam\]: .*weight.*'free' and 'free'"):
+        beam_properties(BeamConfig.model_validate({**BEAM, "ends": ["free", "free"]}))
+
+
 @pytest.mark.parametrize("wrong", [{"orientation": "angled"}, {"angle_deg": 10.0}])
 def test_an_angle_requires_orientation_angled(wrong):
     with pytest.raises(ValidationError, match="angle_deg"):

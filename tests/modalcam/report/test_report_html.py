@@ -16,6 +16,8 @@ from modalcam.pipeline import RecordingResult
 from modalcam.report import build_report
 from modalcam.report.sections import worst_ratios
 from modalcam.report.style import with_sd
+from modalcam.tables import summary
+from sim.updating import PointMassPosterior
 from tracker import FailedTracking, Failure
 
 
@@ -59,6 +61,28 @@ def test_updating_states_what_the_data_and_the_prior_determine(paper_run, paper_
     assert re.search(r"modes favour smooth .* with gravity", words) is not None
     assert updated.evidence.models[0].name == "smooth+gravity"
     assert "No shapes were measured" in words
+
+
+def test_the_places_of_a_point_mass_are_listed_with_its_odds(build):
+    cells = np.full(5, 0.1)
+    found = PointMassPosterior(
+        position_m=np.cumsum(cells) - 0.05,
+        cell_m=cells,
+        weight=np.array([0.03, 0.35, 0.02, 0.58, 0.02]),
+        mass_kg=np.full(5, 4e-4),
+        mass_sd_kg=np.full(5, 1e-9),
+        log_odds=-np.log(20.0),
+    )
+    beam = runs.beam_result(elements=6)
+    result = runs.run_result(
+        [runs.recording(0)], beam=replace(beam, updated=replace(beam.updated, point_mass=found))
+    )
+    words = Page(build(result)).words
+    assert "lacks has odds of 20 : 1 against it" in words
+    assert re.search(r"300.0 to 400.0 mm with 0.40 to 0.40 g \(58 %\); or at 100.0 to 200.0 mm", words)
+    body = summary(result)["beam"]["updating"]["point_mass"]
+    assert body["most_probable"]["position_m"] == pytest.approx(0.35)
+    assert [region["probability"] for region in body["regions_90"]] == pytest.approx([0.58, 0.35])
 
 
 def test_the_first_figure_says_how_far_rayleigh_damping_fitted_to_all_modes_is_off(paper_run, paper_html):

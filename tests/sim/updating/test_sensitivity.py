@@ -20,6 +20,10 @@ BEAMS = {
     "point mass": sample_beam(8),
     "rotational clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5)),
     "elastic clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5, 1e5)),
+    "held at both ends": replace(
+        paper_beam("horizontal", elements=8), length_m=0.3, ends=("pinned", "guided"), tension_n=2.0
+    ),
+    "free": replace(sample_beam(8), ends=("guided", "free")),
 }
 
 
