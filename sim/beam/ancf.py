@@ -296,7 +296,7 @@ class AncfBeam:
 
     @cached_property
     def free(self) -> NDArray[np.int64]:
-        """Indices of the coordinates that can move among all, those of a rigid clamp included."""
+        """Indices of the coordinates that can move, counted with those of a rigid clamp."""
         return self.held + np.setdiff1d(np.arange(self.ndof), self.fixed)
 
     @cached_property

@@ -146,8 +146,8 @@ class PointMassPosterior:
         return mean, sd
 
     def _log_density(self, position_m: FloatArray, mass_kg: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):
-            place = np.interp(position_m, self.position_m, np.log(self.weight / self.cell_m))
+        density = np.maximum(self.weight, np.finfo(float).tiny) / self.cell_m
+        place = np.interp(position_m, self.position_m, np.log(density))
         mean, sd = self._mass_at(position_m)
         return np.asarray(place - 0.5 * ((mass_kg - mean) / sd) ** 2 - np.log(sd) - log_ndtr(mean / sd))
 
@@ -167,7 +167,7 @@ def find_point_mass(
     Raises
     ------
     BuckledBeamError
-        If a standing beam cannot carry its own weight.
+        If a standing beam cannot carry its own weight and a tenth of it anywhere.
     """
     without = Misfit.of(properties, measured)
     basis = prior.basis(properties.elements)
@@ -226,6 +226,9 @@ def _at(
         evidence = without.log_evidence(misfit.log_normalisation) + 0.5 * (mean / sd) ** 2 + np.log(sd)
     else:
         top = maximum(whitened, np.append(without.z - mean * follows, mean))
+        if not np.all(np.isfinite(top.misfit)):
+            # the beam would buckle under such a mass
+            return np.finfo(float).min, 0.0, sd
         mean = max(0.0, float(top.z[-1]))
         sd = float(np.linalg.inv(np.eye(top.z.size) + top.slopes.T @ top.slopes)[-1, -1] ** 0.5)
         evidence = top.log_evidence(misfit.log_normalisation)
