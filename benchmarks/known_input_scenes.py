@@ -7,11 +7,15 @@ The truth is a sum of sinusoids, whose response from rest is known in closed for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
+
+from sim.render import Camera, DotMarker, SampledMotion, Scene, render_frames, write_video
 
 FREQUENCIES_HZ, DAMPING_RATIOS = np.array([6.4, 38.7]), np.array([0.009, 0.004])
 #: Relative motion of three markers in each mode for a unit base motion far above the resonance.
@@ -127,3 +131,31 @@ def record(
     noise = lfilter([1.0], [1.0, -correlation], white, axis=0)
     values = base[:, None] + modes @ PARTICIPATION + noise_mm * noise
     return Record(time_s, base + input_noise_mm * generator.standard_normal(time_s.size), values)
+
+
+#: Of the films.
+FILM_RATE_HZ, FILM_MM_PER_PX, DOT_MM = 200.0, 1.0, 10.0
+
+
+def film(kind: str, seed: int, path: Path, *, span_s: float = SPAN_S) -> Path:
+    """A lossless film of the motion of `record`: a dot on the clamp, the uppermost, and the markers below, tip last."""
+    base, modes = motion(kind, np.random.default_rng([seed, KINDS.index(kind)]))
+    across = base[:, None] + np.column_stack([np.zeros(base.size), modes @ PARTICIPATION[:, ::-1]])
+    # At various fractions of a pixel.
+    down = np.tile([12.3, 28.1, 44.7, 60.9], (base.size, 1))
+    moved = SampledMotion(np.arange(base.size) / RATE_HZ, across, -down, np.zeros(across.shape))
+    width = 2 * int(np.ceil(DOT_MM + np.max(np.abs(across)) / FILM_MM_PER_PX))
+    camera = Camera(
+        width_px=width,
+        height_px=74,
+        mm_per_px=FILM_MM_PER_PX,
+        origin_px=(0.5 * width + 0.2, 0.0),
+        exposure_s=1e-3,
+        read_noise_sd=1.5,
+        noise_gain=0.05,
+    )
+    scene = Scene(markers=(DotMarker(diameter_mm=DOT_MM),) * 4, motion=moved)
+    times_s = np.arange(1, int(span_s * FILM_RATE_HZ)) / FILM_RATE_HZ
+    images = render_frames(scene, camera, times_s, np.random.default_rng([seed, KINDS.index(kind), 1]))
+    write_video(path, images, fps_container=Fraction(25), codec="ffv1")
+    return path

@@ -9,7 +9,16 @@ from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
 import modalcam as mc
-from benchmarks.known_input_scenes import DAMPING_RATIOS, FREQUENCIES_HZ, PARTICIPATION, Record, record
+from benchmarks.known_input_scenes import (
+    DAMPING_RATIOS,
+    FILM_MM_PER_PX,
+    FILM_RATE_HZ,
+    FREQUENCIES_HZ,
+    PARTICIPATION,
+    Record,
+    film,
+    record,
+)
 from modalcam.cli import app
 
 #: Each of a dozen values within this many sd: one in 1000 seeds fails by chance.
@@ -159,3 +168,30 @@ def test_the_input_is_ignored_with_output_only(tmp_path):
     assert result.exit_code == 0, result.output
     assert not (tmp_path / "out" / "response").exists()
     assert len(pd.read_csv(tmp_path / "out" / "modes.csv")) == FREQUENCIES_HZ.size
+
+
+@pytest.mark.usefixtures("in_process", "no_figures")
+def test_a_marker_on_a_clamp_that_is_shaken_by_hand_is_the_input_of_a_film(tmp_path):
+    (tmp_path / "films").mkdir()
+    film("hand", 1, tmp_path / "films" / "take.mkv", span_s=6.0)
+    camera = f"[camera]\nfps = {FILM_RATE_HZ}\nmm_per_px = {FILM_MM_PER_PX}\n"
+    markers = '[markers]\nkind = "blob"\ninput = ["m1"]\n'
+    (tmp_path / "films" / "experiment.toml").write_text(camera + markers)
+    result = CliRunner().invoke(app, ["run", str(tmp_path / "films"), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    (row,) = pd.read_csv(tmp_path / "out" / "modes.csv").itertuples()
+    scores = (
+        (row.frequency_hz - FREQUENCIES_HZ[0]) / row.frequency_sd_hz,
+        (row.damping_ratio - DAMPING_RATIOS[0]) / row.damping_ratio_sd,
+    )
+    assert np.max(np.abs(scores)) < _LIMIT, (
+        f"frequency and damping ratio are {scores} sd from those of the film"
+    )
+    # So that the limits above mean something: the same film of 10 s gives 1.5 %.
+    assert row.damping_ratio_sd < 0.1 * DAMPING_RATIOS[0]
+    table = pd.read_csv(tmp_path / "out" / "participation.csv")
+    assert list(table.channel) == ["m2", "m3", "m4"], "without the marker on the clamp"
+    off = (table.participation - PARTICIPATION[0, ::-1]) / table.participation_sd
+    assert np.max(np.abs(off)) < _LIMIT, (
+        f"simulated {PARTICIPATION[0, ::-1]}, found {list(table.participation)}"
+    )
