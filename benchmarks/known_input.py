@@ -1,7 +1,8 @@
 """Records with a measured base motion, simulated: errors, intervals and computing time of the identified modes.
 
 ``python -m benchmarks.known_input --records 30 > known_input.jsonl`` prints a JSON line a record, ``--films 10`` a line
-a film of a shaken clamp, on which a marker is the input.
+a film of a shaken clamp, on which a marker is the input, and ``--lags 30`` a line a record whose input is late by an
+unknown time: motions of the base, and forces of another recorder. ``--first 30`` begins with seed 30.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from benchmarks.known_input_scenes import (
     DAMPING_RATIOS,
     FILM_MM_PER_PX,
     FILM_RATE_HZ,
+    FORCE_KINDS,
+    FORCE_NOISE_N,
+    FORCE_RATE_HZ,
     FREQUENCIES_HZ,
     KINDS,
     MODES,
@@ -29,10 +33,13 @@ from benchmarks.known_input_scenes import (
     PARTICIPATION,
     RATE_HZ,
     film,
+    force_record,
+    late_base,
     motion,
     record,
 )
-from modal_id import Identification, IdentifiedMode, identify
+from modal_id import Identification, IdentifiedMode, IdentifySettings, identify
+from modal_id.response import at_other_times
 from tracker import DisplacementSeries, KnownInput, MarkerTracks, TrackerSettings, displacement_series, track
 
 #: Correlation of neighbouring noise values, noise of the input, whether its sd is stated.
@@ -92,16 +99,8 @@ def measured(
 ) -> dict[str, object]:
     """Errors over standard deviations and over the bound of the modes found in one record, and its computing time."""
     one = record(kind, seed, input_noise_mm=input_noise_mm, correlation=correlation)
-    series = DisplacementSeries(
-        name=kind,
-        time_s=one.time_s,
-        channels=("y1", "y2", "y3"),
-        values=one.values,
-        sd=np.full(one.values.shape, np.nan),
-        unit="mm",
-        positions_mm=np.full(3, np.nan),
-        known_input=KnownInput("base", one.base, "mm", sd=input_noise_mm if stated else float("nan")),
-    )
+    known = KnownInput("base", one.base, "mm", sd=input_noise_mm if stated else float("nan"))
+    series = _series(one.time_s, one.values, known)
     start = time.process_time()
     modes = _modes(series)
     cpu_s = time.process_time() - start
@@ -130,6 +129,51 @@ def filmed(kind: str, seed: int) -> dict[str, object]:
     return {"film": kind, "seed": seed, **_scores(modes), "cpu_s": time.process_time() - start}
 
 
+def late(kind: str, seed: int) -> dict[str, object]:
+    """As `measured`, of an input up to 30 ms late or early, and the error of the lag over its sd, which is in us."""
+    lag_s = np.random.default_rng([seed, 77]).uniform(-0.03, 0.03)
+    if kind in FORCE_KINDS:
+        force = force_record(kind, seed, lag_s)
+        at_frames = at_other_times(force.force_time_s, force.force, force.time_s)
+        values = np.asarray(at_frames, dtype=np.float64)
+        sd = FORCE_NOISE_N * np.sqrt(RATE_HZ / FORCE_RATE_HZ)
+        series = _series(force.time_s, force.values, KnownInput("force", values, "N", is_force=True, sd=sd))
+    else:
+        one = record(kind, seed)
+        series = _series(
+            one.time_s, one.values, KnownInput("base", late_base(kind, seed, lag_s), "mm", sd=0.0)
+        )
+    start = time.process_time()
+    found = identify(series, IdentifySettings(input_lag_ms="auto"))
+    lag: tuple[float, ...] = ()
+    if isinstance(found, Identification) and found.response is not None:
+        sd_s = found.response.input_lag_sd_s
+        lag = ((found.response.input_lag_s - lag_s) / sd_s, 1e6 * sd_s)
+    modes = found.modes if isinstance(found, Identification) else ()
+    cpu_s = time.process_time() - start
+    return {
+        "late": kind,
+        "seed": seed,
+        "lag": lag,
+        **_scores(modes),
+        "failure": "" if found else str(found),
+        "cpu_s": cpu_s,
+    }
+
+
+def _series(time_s: np.ndarray, values: np.ndarray, known: KnownInput) -> DisplacementSeries:
+    return DisplacementSeries(
+        name=known.name,
+        time_s=time_s,
+        channels=("y1", "y2", "y3"),
+        values=values,
+        sd=np.full(values.shape, np.nan),
+        unit="mm",
+        positions_mm=np.full(3, np.nan),
+        known_input=known,
+    )
+
+
 def _modes(series: DisplacementSeries) -> tuple[IdentifiedMode, ...]:
     found = identify(series)
     return found.modes if isinstance(found, Identification) else ()
@@ -153,16 +197,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Modes from the response to a measured input, simulated.")
     parser.add_argument("--records", type=int, default=30, help="Records of each kind and noise.")
     parser.add_argument("--films", type=int, default=0, help="Films of each kind instead.")
+    parser.add_argument(
+        "--lags", type=int, default=0, help="Records of each kind with an unknown lag instead."
+    )
+    parser.add_argument("--first", type=int, default=0, help="First seed.")
     given = parser.parse_args()
     kinds = (*KINDS[:3], *KINDS[4:])
+    count = given.films or given.lags or given.records
+    seeds = range(given.first, given.first + count)
+    found: Iterator[dict[str, object]]
     if given.films:
-        found = (filmed(kind, seed) for kind in kinds for seed in range(given.films))
+        # A film of 200 fps does not show the whole broad motion.
+        found = (filmed(kind, seed) for kind in KINDS[:3] for seed in seeds)
+    elif given.lags:
+        found = (late(kind, seed) for kind in (*kinds, *FORCE_KINDS) for seed in seeds)
     else:
         found = (
             measured(kind, seed, *condition[:2], stated=condition[2])
             for condition in CONDITIONS
             for kind in kinds
-            for seed in range(given.records)
+            for seed in seeds
         )
     for one in found:
         sys.stdout.write(json.dumps(one) + "\n")

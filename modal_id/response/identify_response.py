@@ -16,7 +16,8 @@ from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
 from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
-from modal_id.response.known_input import criterion, fit_response, fit_with_lag
+from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.lag import fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import TUNING as FRF
 from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
@@ -136,6 +137,12 @@ def _samples(
     problem = unusable(values, np.asarray(np.any(np.isfinite(series.values[rows]), axis=1)), known)
     if problem is not None:
         return problem
+    # A spline is no guess of what precedes or follows the input.
+    seen = np.flatnonzero(np.isfinite(values))
+    rows, values = (
+        slice(rows.start + int(seen[0]), rows.start + int(seen[-1]) + 1),
+        values[seen[0] : seen[-1] + 1],
+    )
     own = slice(rows.start - first, rows.stop - first)
     time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
     if time_s.size > TUNING.most_rows * values.size:
