@@ -286,6 +286,16 @@ def test_an_input_is_not_fitted_beyond_the_outputs() -> None:
     assert any("from 0 to 15 s" in note for note in found.notes)
 
 
+def test_the_longest_part_without_a_gap_of_the_input_is_fitted() -> None:
+    """A second of the input, its first 10 ms and two samples are missing; the beam moves when the part begins."""
+    series = _series(record("random", 7), input_sd=0.0)
+    assert series.known_input is not None
+    series.known_input.values[np.r_[:4, 2000:2400, 5000:5002]] = np.nan
+    found = _found(series)
+    _check(found)
+    assert any("from 6 to 20 s, the longest part without a gap" in note for note in found.notes), found.notes
+
+
 def test_an_input_of_another_clock_is_said() -> None:
     """Late by 2 ms more at the end than at the start: a hundredth of a period of the lower mode a second."""
     one = record("random", 7)
