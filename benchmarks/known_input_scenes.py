@@ -7,11 +7,15 @@ The truth is a sum of sinusoids, whose response from rest is known in closed for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter
+from scipy.signal import butter, cont2discrete, lfilter, sosfilt
+
+from sim.render import Camera, DotMarker, SampledMotion, Scene, render_frames, write_video
 
 FREQUENCIES_HZ, DAMPING_RATIOS = np.array([6.4, 38.7]), np.array([0.009, 0.004])
 #: Relative motion of three markers in each mode for a unit base motion far above the resonance.
@@ -127,3 +131,73 @@ def record(
     noise = lfilter([1.0], [1.0, -correlation], white, axis=0)
     values = base[:, None] + modes @ PARTICIPATION + noise_mm * noise
     return Record(time_s, base + input_noise_mm * generator.standard_normal(time_s.size), values)
+
+
+#: Forces: their rate, the noise of their channel in N, and the displacement of a unit participation for a unit force.
+FORCE_RATE_HZ, FORCE_NOISE_N, MM_PER_N = 8000.0, 0.05, 20.0
+FORCE_KINDS = ("impacts", "shaker")
+
+
+@dataclass(frozen=True)
+class ForceRecord:
+    """Displacements in mm as in `Record`, and a force in N that another recorder took at its own times."""
+
+    time_s: np.ndarray
+    values: np.ndarray
+    force_time_s: np.ndarray
+    force: np.ndarray
+
+
+def force_record(kind: str, seed: int, lag_s: float, *, span_s: float = SPAN_S) -> ForceRecord:
+    """Response to ten impacts of 1.5 ms, or to a shaker with noise of 3 to 60 Hz, whose recorder is late by `lag_s`.
+
+    The force is linear between its samples, for which the response is exact (first-order hold of SciPy).
+    """
+    generator = np.random.default_rng([seed, FORCE_KINDS.index(kind)])
+    t = np.arange(int(span_s * FORCE_RATE_HZ)) / FORCE_RATE_HZ
+    if kind == "impacts":
+        force = np.zeros(t.size)
+        for at_s in np.sort(generator.uniform(0.02, 0.9, 10)) * span_s:
+            inside = (t > at_s) & (t < at_s + 1.5e-3)
+            force[inside] += generator.uniform(30.0, 80.0) * np.sin(np.pi * (t[inside] - at_s) / 1.5e-3)
+    else:
+        band = butter(4, (3.0, 60.0), "bandpass", fs=FORCE_RATE_HZ, output="sos")
+        force = 8.0 * sosfilt(band, generator.standard_normal(t.size))
+    moved = np.zeros((t.size, 3))
+    for hz, zeta, part in zip(FREQUENCIES_HZ, DAMPING_RATIOS, PARTICIPATION, strict=True):
+        omega = 2.0 * np.pi * hz
+        system = ([1.0], [1.0, 2.0 * zeta * omega, omega**2])
+        b, a, _ = cont2discrete(system, 1.0 / FORCE_RATE_HZ, method="foh")
+        moved += MM_PER_N * FREQUENCIES_HZ[0] ** 2 * lfilter(b[0], a, force)[:, None] * part
+    every = int(FORCE_RATE_HZ / RATE_HZ)
+    values = moved[::every] + NOISE_MM * generator.standard_normal(moved[::every].shape)
+    measured_n = force + FORCE_NOISE_N * generator.standard_normal(t.size)
+    return ForceRecord(t[::every], values, t + lag_s, measured_n)
+
+
+#: Of the films.
+FILM_RATE_HZ, FILM_MM_PER_PX, DOT_MM = 200.0, 1.0, 10.0
+
+
+def film(kind: str, seed: int, path: Path, *, span_s: float = SPAN_S) -> Path:
+    """A lossless film of the motion of `record`: a dot on the clamp, the uppermost, and the markers below, tip last."""
+    base, modes = motion(kind, np.random.default_rng([seed, KINDS.index(kind)]))
+    across = base[:, None] + np.column_stack([np.zeros(base.size), modes @ PARTICIPATION[:, ::-1]])
+    # At various fractions of a pixel.
+    down = np.tile([12.3, 28.1, 44.7, 60.9], (base.size, 1))
+    moved = SampledMotion(np.arange(base.size) / RATE_HZ, across, -down, np.zeros(across.shape))
+    width = 2 * int(np.ceil(DOT_MM + np.max(np.abs(across)) / FILM_MM_PER_PX))
+    camera = Camera(
+        width_px=width,
+        height_px=74,
+        mm_per_px=FILM_MM_PER_PX,
+        origin_px=(0.5 * width + 0.2, 0.0),
+        exposure_s=1e-3,
+        read_noise_sd=1.5,
+        noise_gain=0.05,
+    )
+    scene = Scene(markers=(DotMarker(diameter_mm=DOT_MM),) * 4, motion=moved)
+    times_s = np.arange(1, int(span_s * FILM_RATE_HZ)) / FILM_RATE_HZ
+    images = render_frames(scene, camera, times_s, np.random.default_rng([seed, KINDS.index(kind), 1]))
+    write_video(path, images, fps_container=Fraction(25), codec="ffv1")
+    return path

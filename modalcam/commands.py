@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from modalcam.common import InputError, recording_names, shown
 from modalcam.config import (
@@ -131,7 +132,24 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
         compile_for(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
-        return _finish(context, options, measure(context, recordings), record, key(hashes.get))
+        measured = measure(context, recordings, partial(_with_input_file, config))
+        return _finish(context, options, measured, record, key(hashes.get))
+
+
+def _with_input_file(config: ExperimentConfig, recording: RecordingResult) -> RecordingResult:
+    """The recording with the input of its `input_file`, or why it cannot be used."""
+    from modalcam.inputs import with_input_file  # noqa: PLC0415
+    from tracker import Failure  # noqa: PLC0415
+
+    given = config.for_recording(recording.file)
+    if given.input_file is None or recording.series is None or recording.path is None:
+        return recording
+    try:
+        path = recording.path.parent / given.input_file
+        series = with_input_file(recording.series, path, given.input_column, given.input_unit)
+    except InputError as error:
+        return replace(recording, identification=Failure(str(error), recording.name))
+    return replace(recording, series=series)
 
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
@@ -174,21 +192,25 @@ def identify(
     recording: RecordingConfig,
     known_input: str | None = None,
     input_unit: str | None = None,
+    input_file: Path | None = None,
 ) -> RunResult:
     """Identify the modes of a table of displacements (of the tracker or any other) or of a universal file; write OUT.
 
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
     `known_input` names the channel that drives the others; with an `input_unit` other than theirs it is a force.
+    `input_file` is another table that holds it, at times of its own.
     """
-    from modalcam.inputs import motion_of, with_known_input  # noqa: PLC0415
+    from modalcam.inputs import motion_of, with_input_file, with_known_input  # noqa: PLC0415
     from modalcam.pipeline import (  # noqa: PLC0415
         compile_for,
         measure,
     )
+    from tracker import displacement_series  # noqa: PLC0415
 
     load_plugins(options.plugins)
     given_options = {"unit": unit, "rate": rate_hz, "input": known_input, "input-unit": input_unit}
+    given_options["input-file"] = None if input_file is None else input_file.name
     given_options |= {
         name.replace("_", "-"): one for name, one in recording.given().items() if name != "file"
     }
@@ -200,7 +222,10 @@ def identify(
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(path.name), recording_names([path.name])[0]
     motion = motion_of(path, name, given, options.limits, unit=unit, rate_hz=rate_hz)
-    if known_input is not None:
+    if input_file is not None:
+        series = motion["series"] if "series" in motion else displacement_series(motion["tracks"])
+        motion["series"] = with_input_file(series, input_file, known_input, input_unit or "N")
+    elif known_input is not None:
         motion = with_known_input(motion, known_input, input_unit)
     for note in motion["series"].notes if "series" in motion else ():
         progress.note(f"note: {note}")
@@ -383,7 +408,8 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
     found = _discovered(folder, options, only)
     wanted = [recording for recording in found.recordings if only is None or recording.file == only]
     path = options.config or folder / CONFIG_NAME
-    config = repr(raw_config(path)) if options.config is not None or path.exists() else ""
+    raw = raw_config(path) if options.config is not None or path.exists() else {}
+    config = repr((raw, _hashes_beside(folder, raw)))
 
     def key(hash_of: _HashOf) -> str:
         sha256 = [hash_of(recording.path) for recording in wanted]
@@ -400,6 +426,18 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
         )
 
     return key
+
+
+def _hashes_beside(folder: Path, raw: Mapping[str, Any]) -> list[str]:
+    """SHA-256 of each `input_file` of a configuration that is not validated; empty where there is no such file."""
+    entries = raw.get("recordings", ())
+    named = [one for one in entries if isinstance(one, dict)] if isinstance(entries, list) else []
+    paths = [
+        folder / Path(str(one["file"])).parent / str(one["input_file"])
+        for one in named
+        if "file" in one and "input_file" in one
+    ]
+    return [file_sha256(path) if path.is_file() else "" for path in paths]
 
 
 def _finish(

@@ -16,7 +16,8 @@ from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
 from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
-from modal_id.response.known_input import criterion, fit_response, fit_with_lag
+from modal_id.response.known_input import criterion, fit_response
+from modal_id.response.lag import fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import TUNING as FRF
 from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
@@ -35,6 +36,9 @@ class Tuning:
     highest: float = 0.6
     #: [1] rows with omitted ones over given rows above which the record is refused
     most_rows: float = 1.5
+    #: [samples] longest gap of the input that a spline through its neighbours bridges
+    #: physics: It changes a sinusoid of 20 samples a period by (6 pi / 20)^4 / 384 = 0.002 of it.
+    bridged: int = 2
     #: [1] largest given lag of the input over the span of the record
     #: convention: Beyond, the channels do not belong together.
     most_lag: float = 0.5
@@ -54,9 +58,9 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
     """Identify the modes of a series from its response to `DisplacementSeries.known_input`.
 
     The motion may be anything the input causes (a sweep, random, by hand), with free decay of what moved before, in one
-    record. Uneven times are integrated as they are; missing samples of the outputs are left out, those of the input are
-    taken from a spline through its neighbours. Of `settings`, `max_modes`, `reject_hz`, `onset_s`, `end_s` and the seed
-    are used.
+    record. Uneven times are integrated as they are; missing samples of the outputs are left out. Up to two samples of
+    the input are taken from a spline through their neighbours; of an input with longer gaps the longest part is used.
+    Of `settings`, `max_modes`, `reject_hz`, `onset_s`, `end_s` and the seed are used.
 
     Returns
     -------
@@ -136,6 +140,12 @@ def _samples(
     problem = unusable(values, np.asarray(np.any(np.isfinite(series.values[rows]), axis=1)), known)
     if problem is not None:
         return problem
+    start, stop = _longest_part(series.time_s[rows], values)
+    rows, values = slice(rows.start + start, rows.start + stop), values[start:stop]
+    if values.size < MIN_SAMPLES:
+        return (
+            f"the input {known.name} is recorded for {values.size} samples in a row, {MIN_SAMPLES} are needed"
+        )
     own = slice(rows.start - first, rows.stop - first)
     time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
     if time_s.size > TUNING.most_rows * values.size:
@@ -152,6 +162,16 @@ def _samples(
         outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
     highest = int(TUNING.highest * time_s.size / 2)
     return rows, Samples(time_s, outputs, given, full, 0, highest)
+
+
+def _longest_part(time_s: FloatArray, values: FloatArray) -> tuple[int, int]:
+    """First row and end of the longest part in which the input is recorded: through a gap, no mode can be followed."""
+    seen = np.flatnonzero(np.isfinite(values))
+    steps_s = np.diff(time_s[seen])
+    gaps = np.flatnonzero(steps_s > (TUNING.bridged + 1.5) * np.median(steps_s))
+    starts, ends = seen[np.append(0, gaps + 1)], seen[np.append(gaps, seen.size - 1)]
+    longest = int(np.argmax(time_s[ends] - time_s[starts]))
+    return int(starts[longest]), int(ends[longest]) + 1
 
 
 def _with_omitted_rows(time_s: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
@@ -186,6 +206,9 @@ def _assembled(
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     whole = rows.stop - rows.start == series.time_s.size
     part = "from the first sample to the last" if whole else f"from {start_s:.4g} to {end_s:.4g} s"
+    missing = np.flatnonzero(np.isnan(known.values))
+    if np.any((missing < rows.start) | (missing >= rows.stop)):
+        part += ", the longest part without a gap of the input"
     note = f"The response to {known.name} was fitted, {part}."
     return Identification(
         series=series,

@@ -1,15 +1,13 @@
-"""Modes that a measured input drives: their number, poles and participation, the noise, and the lag of the input."""
+"""Modes that a measured input drives: their number, poles and participation, and the noise."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from modal_id.response.candidates import candidates, drives
-from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
+from modal_id.response.columns import OF_MODE, Samples
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
@@ -18,7 +16,7 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Search for modes, iteration of their poles, search for the lag."""
+    """Search for modes, iteration of their poles."""
 
     #: [1] largest number of steps of the poles in a search
     search_steps: int = 12
@@ -48,30 +46,6 @@ class Tuning:
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
     #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
     rounds: int = 4
-    #: [1] largest lag over the span of the record
-    #: physics: Outputs at whose times the input is not known do not count.
-    most_share: float = 0.1
-    #: [rounds] searches of `first_modes` modes, each at the lag that the one before gave
-    #: measurement: After one, what an error of a tenth of a sample left was taken for a mode of damping ratio 0.5.
-    first_rounds: int = 2
-    #: [rounds] most searches of all modes, each at the lag that the one before gave
-    lag_rounds: int = 4
-    #: [sd] change of the lag that needs no further search
-    #: statistics: What a wrong lag leaves is then below the noise, and taken for no mode.
-    settled: float = 3.0
-    #: [modes] most modes of the first search
-    #: measurement: What a wrong lag leaves is taken for further modes: 8 of them take 30 s of CPU.
-    first_modes: int = 2
-    #: [1] damping ratio from which a pole found at a wrong lag is left out of the search for the lag
-    #: measurement: What a wrong lag leaves of a motion of the base over the whole band is taken for modes of 0.02 to
-    #: 0.5, which then follow any lag (seeds 0 and 1 of the broad records of benchmarks/known_input.py).
-    narrow_damping: float = 0.05
-    #: [lags] number of lags whose normal equations are solved together
-    #: convention: Limits the memory.
-    together: int = 500
-    #: [1] added to the diagonal of normal equations of unit columns
-    #: physics: Well above rounding, and below the noise of any record.
-    ridge: float = 1e-11
 
 
 TUNING = Tuning()
@@ -201,7 +175,7 @@ class Weighted:
             gradient += own.T @ self.residual[:, out] / self.rss[out]
         change = _limited(np.linalg.pinv(information) @ gradient, self.poles, self.samples)
         for _ in range(TUNING.halvings):
-            if _is_mode(self.poles + change).all():
+            if is_mode(self.poles + change).all():
                 trial = Weighted(self.samples, self.poles + change, self._weights)
                 if trial.score < self.score:
                     return trial
@@ -238,7 +212,7 @@ def _refined(
         likely = _with_likely_input(samples, found, noise, response)
         found = solve_at(samples, likely, found.poles, noise, noise.weights(response))
         step = _limited(found.step[: 2 * found.poles.size], found.poles, samples)
-        if _is_mode(found.poles + step).all():
+        if is_mode(found.poles + step).all():
             if samples.channel is not None:
                 samples = samples.with_lag(samples.lag_s + _lag_step(found))
                 likely = _with_likely_input(samples, found, noise, response)
@@ -289,136 +263,8 @@ def _lag_step(found: ResponseFit) -> float:
     return float(np.clip(found.step[-1], -limit, limit))
 
 
-def _is_mode(poles: ComplexArray) -> BoolArray:
+def is_mode(poles: ComplexArray) -> BoolArray:
     """Whether each motion decays, and oscillates."""
     return np.asarray(
         (poles.real < 0.0) & (poles.imag > 0.0) & (-poles.real < TUNING.most_damping * np.abs(poles))
     )
-
-
-def fit_with_lag(
-    samples: Samples, max_modes: int, lowest_hz: float, input_sd: float
-) -> ResponseFit | str | None:
-    """Modes and the lag of the input; why there is no lag; or None where no mode exceeds the noise.
-
-    The residues of all modes are free complex numbers, which take up the phase of a lag at the resonances: modes are
-    found without it. The lag is then the one with the largest likelihood at their poles; modes are searched again
-    with it. In the last iteration it is one more parameter beside the poles: its standard deviation, and what it adds
-    to theirs, are in the covariance.
-
-    Notes
-    -----
-    The lag is seen where the response is not that of one resonance alone: in the motion of the base itself, and between
-    resonances. That residues are real for proportional damping is not used.
-    """
-    channel = Channel.through(samples.time_s, samples.input, samples.given)
-    limit_s = TUNING.most_share * samples.span_s
-    lag_s = 0.0
-    for _ in range(TUNING.first_rounds):
-        few = min(max_modes, TUNING.first_modes)
-        first = fit_response(_at(samples, channel, lag_s), few, lowest_hz, input_sd)
-        if first is None:
-            return None
-        lag_s = most_likely_lag(first, channel, limit_s)
-    for _ in range(TUNING.lag_rounds):
-        found = _with_all_modes(samples, channel, lag_s, (max_modes, lowest_hz, input_sd))
-        if found is None:
-            return None
-        moved_s, lag_s = found.samples.lag_s - lag_s, found.samples.lag_s
-        other_s = most_likely_lag(found, channel, limit_s)
-        if abs(other_s) >= limit_s - samples.step_s:
-            return f"lies at the limit of the search, {1e3 * limit_s:.3g} ms"
-        if abs(other_s - lag_s) > samples.step_s:
-            lag_s = other_s
-        elif found.lag_sd_s > limit_s:
-            return f"is not determined: its standard deviation is {1e3 * found.lag_sd_s:.3g} ms"
-        elif abs(moved_s) < TUNING.settled * found.lag_sd_s:
-            return found
-    return "is not unique: several explain the outputs alike"
-
-
-def _with_all_modes(
-    samples: Samples, channel: Channel, lag_s: float, options: tuple[int, float, float]
-) -> ResponseFit | None:
-    """Modes searched at one lag, then iterated with it."""
-    fixed = fit_response(_at(samples, channel, lag_s), *options)
-    late = replace(samples, channel=channel).with_lag(lag_s)
-    return None if fixed is None else with_free_lag(replace(fixed, samples=late), options[2])
-
-
-def _at(samples: Samples, channel: Channel, lag_s: float) -> Samples:
-    """The samples with an input of a lag that is not to be iterated."""
-    return replace(replace(samples, channel=channel).with_lag(lag_s), channel=None) if lag_s else samples
-
-
-def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> float:
-    """The lag of the largest likelihood at the narrow poles of a fit, within the limit on both sides, in s.
-
-    Outputs count alike at all frequencies: weights of a fit at a wrong lag are small where that lag shows.
-    """
-    narrow = -found.poles.real < TUNING.narrow_damping * np.abs(found.poles)
-    poles = found.poles[narrow] if narrow.any() else found.poles
-    samples = replace(found.samples, channel=channel)
-    half_step_s = 0.5 * samples.step_s
-    count = int(limit_s / half_step_s)
-    shifts = np.arange(-count, count + 1) - round(samples.lag_s / half_step_s)
-    near_s = samples.lag_s + half_step_s * float(shifts[int(np.argmin(_scores(samples, poles, shifts)))])
-
-    weights = np.ones((samples.frequency_hz.size, samples.values.shape[1]))
-
-    def score(lag_s: float) -> float:
-        return Weighted(samples.with_lag(float(lag_s)), poles, weights).score
-
-    # The grid takes the record as periodic: where much motion is left at its end, the minimum lies beside.
-    least, turn = (
-        score(near_s),
-        1.0 if score(near_s + samples.step_s) < score(near_s - samples.step_s) else -1.0,
-    )
-    while abs(near_s) < limit_s and (beside := score(near_s + turn * samples.step_s)) < least:
-        near_s, least = near_s + turn * samples.step_s, beside
-    reach = near_s - samples.step_s, near_s + samples.step_s
-    best = minimize_scalar(score, bounds=reach, method="bounded", options={"xatol": 1e-3 * samples.step_s})
-    return float(np.clip(best.x, -limit_s, limit_s))
-
-
-def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> FloatArray:
-    """Negative log likelihood of lags, by whole numbers of half samples more than that of the fit, shape (lags,).
-
-    A lag turns the transform of what the input drives by a phase, as if the record were periodic: the normal equations
-    of all lags are Fourier transforms of the products of the columns at one lag.
-    """
-    n = samples.time_s.size
-    size = samples.frequency_hz.size
-    columns = samples.bins(samples.in_time(poles))
-    is_driven = np.zeros(columns.shape[1], dtype=bool)
-    is_driven[:2] = True
-    is_driven[FIXED:] = np.arange(columns.shape[1] - FIXED) % OF_MODE < 2
-    driven, free = columns[:, is_driven], columns[:, ~is_driven]
-    total = np.zeros(shifts.size)
-    for out in range(samples.values.shape[1]):
-        y = samples.bins(samples.values[:, [out]])
-        d, f, y = (one / np.linalg.norm(one, axis=0) for one in (driven, free, y))
-        products = np.zeros((2 * n, d.shape[1], f.shape[1] + 1), dtype=complex)
-        products[samples.first : samples.last] = np.conj(d)[:, :, None] * np.column_stack([f, y])[:, None, :]
-        turned = np.real(np.fft.fft(products, axis=0))
-        of_driven, of_free = np.real(np.conj(d.T) @ d), np.real(np.conj(f.T) @ f)
-        of_output = np.real(np.conj(f.T) @ y)[:, 0]
-        for start in range(0, shifts.size, TUNING.together):
-            own = turned[shifts[start : start + TUNING.together] % (2 * n)]
-            total[start : start + len(own)] += size * np.log(_left(of_driven, of_free, of_output, own))
-    return total
-
-
-def _left(
-    of_driven: FloatArray, of_free: FloatArray, of_output: FloatArray, turned: FloatArray
-) -> FloatArray:
-    """Share of an output that no combination of the columns explains, at each lag."""
-    p = len(of_driven)
-    normal = np.empty((len(turned), p + len(of_free), p + len(of_free)))
-    normal[:, :p, :p], normal[:, p:, p:] = of_driven, of_free
-    normal[:, :p, p:] = turned[:, :, :-1]
-    normal[:, p:, :p] = np.swapaxes(turned[:, :, :-1], 1, 2)
-    normal += TUNING.ridge * np.eye(normal.shape[1])
-    right = np.column_stack([turned[:, :, -1], np.broadcast_to(of_output, (len(turned), len(of_free)))])
-    solved = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return np.asarray(np.maximum(1.0 - np.sum(solved * right, axis=1), TUNING.ridge))

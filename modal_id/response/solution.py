@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -183,6 +183,18 @@ def solve_at(
         coefficient_covariance=of_coefficients,
         coefficient_slopes=-np.array([one.carried for one in outputs]) / scale[:, None],
         step=inverted @ gradient,
+    )
+
+
+def with_lag_variance(found: ResponseFit, variance: float) -> ResponseFit:
+    """The fit with another variance of the lag of its input; what poles and coefficients owe to the lag grows alike."""
+    own = found.covariance[-1]
+    more = np.outer(own, own) / own[-1] ** 2 * (variance - own[-1])
+    slopes = found.coefficient_slopes
+    return replace(
+        found,
+        covariance=found.covariance + more,
+        coefficient_covariance=found.coefficient_covariance + slopes @ more @ np.swapaxes(slopes, 1, 2),
     )
 
 

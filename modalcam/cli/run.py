@@ -139,6 +139,10 @@ def identify(
         str | None,
         typer.Option("--input", metavar="COLUMN", help="Channel of the base motion or force."),
     ] = None,
+    input_file: Annotated[
+        Path | None,
+        typer.Option("--input-file", metavar="FILE", help="Another table that holds the input."),
+    ] = None,
     output_only: Annotated[bool, typer.Option("--output-only", help="Ignore the input.")] = False,
     input_unit: Annotated[
         str | None,
@@ -184,6 +188,7 @@ def identify(
         recording=recording,
         known_input=known_input,
         input_unit=input_unit,
+        input_file=input_file,
     )
     options = run_options(out or results_folder(file), jobs=1, **common)
     compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict)

@@ -405,6 +405,24 @@ class _FileOptions(Options):
     leave_out: bool = Field(
         default=False, description="Leave the recording out of runs on its folder.", examples=[True]
     )
+    input_file: str | None = Field(
+        default=None,
+        description="File of a measured input beside the recording, such as the force of a hammer, at its own rate: a "
+        "table that `modalcam identify` reads. Its time 0 is that of the first frame, but for input_lag_ms. Path "
+        "relative to the folder of the recording.",
+        examples=["hammer.csv"],
+    )
+    input_column: str | None = Field(
+        default=None,
+        description="Column of input_file that is the input; not needed where there is only one beside the times.",
+        examples=["force"],
+    )
+    input_unit: str = Field(
+        default="N",
+        description="Unit of the input in input_file: that of the displacements for a motion of the base, any other "
+        "for a force.",
+        examples=["mm"],
+    )
 
 
 class RecordingConfig(MarkersConfig, CameraConfig, IdentifyOptions, _FileOptions):

@@ -11,6 +11,7 @@ from .probe import starter_config as starter_config
 from .series import is_tracks as is_tracks
 from .series import series_from_table as series_from_table
 from .series import tracks_from_table as tracks_from_table
+from .series import with_input_file as with_input_file
 from .series import with_known_input as with_known_input
 from .table import MAX_BYTES as MAX_BYTES
 from .table import Table as Table

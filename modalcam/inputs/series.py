@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modal_id.response import at_other_times
 from modalcam.common import InputError, shown
-from modalcam.inputs.table import Table
+from modalcam.inputs.table import Table, read_table
 from tracker import (
     LOSSY,
     TRACK_COLUMNS,
@@ -123,15 +125,6 @@ def with_known_input(motion: dict[str, Any], channel: str, unit: str | None) -> 
         raise InputError(msg)
     at = series.channels.index(channel)
     others = np.arange(len(series.channels)) != at
-    own = series.unit if unit is None else unit
-    sd = series.sd[np.isfinite(series.sd[:, at]), at]
-    known = KnownInput(
-        channel,
-        series.values[:, at],
-        own,
-        is_force=own != series.unit,
-        sd=float(np.median(sd)) if sd.size else float("nan"),
-    )
     return {
         "series": replace(
             series,
@@ -139,9 +132,50 @@ def with_known_input(motion: dict[str, Any], channel: str, unit: str | None) -> 
             values=series.values[:, others],
             sd=series.sd[:, others],
             positions_mm=series.positions_mm[others],
-            known_input=known,
+            known_input=_known_input(series, at, series.values[:, at], unit or series.unit, series.unit),
         )
     }
+
+
+def _known_input(
+    read: DisplacementSeries, at: int, values: NDArray[np.float64], unit: str, of_outputs: str
+) -> KnownInput:
+    """The channel at this index, with these values, as input."""
+    sd = read.sd[np.isfinite(read.sd[:, at]), at]
+    noise = float(np.median(sd)) if sd.size else float("nan")
+    return KnownInput(read.channels[at], values, unit, is_force=unit != of_outputs, sd=noise)
+
+
+def with_input_file(
+    series: DisplacementSeries, path: Path, column: str | None, unit: str
+) -> DisplacementSeries:
+    """The series with a column of another file as its input, low-passed to the times of the series.
+
+    InputError if the file cannot be read, has no such column, or was recorded at a lower rate; or if the series has an
+    input already.
+    """
+    if series.known_input is not None:
+        other = f"the input is {series.known_input.name} already"
+        msg = f"{series.name}: {other}, and input_file names another: give one of the two"
+        raise InputError(msg)
+    where = shown(path.name)
+    read = series_from_table(read_table(path), name=where, unit=unit)
+    if (column is None and len(read.channels) > 1) or (column is not None and column not in read.channels):
+        expected = "one column beside the times" if column is None else f"the column {shown(column)}"
+        msg = (
+            f"{where}: expected {expected}, found {shown(', '.join(read.channels))}: name it by input_column"
+        )
+        raise InputError(msg)
+    at = read.channels.index(column) if column is not None else 0
+    values = at_other_times(read.time_s, read.values[:, at], series.time_s)
+    if isinstance(values, str):
+        msg = f"{where}: {values}"
+        raise InputError(msg)
+    known = _known_input(read, at, values, unit, series.unit)
+    rates = np.median(np.diff(read.time_s)) / np.median(np.diff(series.time_s))
+    note = f"The input {shown(known.name)} is that of {where}, low-passed to the rate of the channels."
+    notes = (*series.notes, note, *read.notes)
+    return replace(series, known_input=replace(known, sd=known.sd * float(np.sqrt(rates))), notes=notes)
 
 
 def channel_positions(positions_mm: tuple[float, ...] | None, count: int, found: str) -> NDArray[np.float64]:

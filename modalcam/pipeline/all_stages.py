@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from modalcam.config import dump_config
@@ -26,12 +26,20 @@ class Measured:
     theory: BeamModes | str
 
 
-def measure(context: Context, recordings: Sequence[RecordingResult]) -> Measured:
-    """Track and identify all recordings; tracks or a series that are given are used."""
-    tracked = track_recordings(context, recordings)
+def measure(
+    context: Context,
+    recordings: Sequence[RecordingResult],
+    with_input: Callable[[RecordingResult], RecordingResult] | None = None,
+) -> Measured:
+    """Track and identify all recordings; tracks or a series that are given are used.
+
+    `with_input` adds an input that was recorded beside them, or a failure.
+    """
+    tracked = [with_displacement(r) for r in track_recordings(context, recordings)]
+    driven = tracked if with_input is None else [with_input(r) for r in tracked]
     theory = beam_theory(context)
     modes = None if isinstance(theory, str) else theory
-    identified = identify_recordings(context, [with_displacement(r) for r in tracked], modes)
+    identified = identify_recordings(context, driven, modes)
     return Measured(tuple(identified), theory)
 
 

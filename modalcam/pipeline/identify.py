@@ -134,7 +134,7 @@ def identify_recordings(
     """Identify the modes of each recording that has a displacement series; `modes` are those of the beam's theory."""
 
     def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
-        if recording.series is None:
+        if recording.series is None or recording.identification is not None:
             return None
         config = context.config.for_recording(recording.file)
         settings = identify_settings(

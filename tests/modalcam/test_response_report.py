@@ -9,8 +9,22 @@ from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
 import modalcam as mc
-from benchmarks.known_input_scenes import DAMPING_RATIOS, FREQUENCIES_HZ, PARTICIPATION, Record, record
+from benchmarks.known_input_scenes import (
+    DAMPING_RATIOS,
+    FILM_MM_PER_PX,
+    FILM_RATE_HZ,
+    FREQUENCIES_HZ,
+    MM_PER_N,
+    PARTICIPATION,
+    RATE_HZ,
+    Record,
+    film,
+    force_record,
+    late_base,
+    record,
+)
 from modalcam.cli import app
+from modalcam.pipeline import load_run
 
 #: Each of a dozen values within this many sd: one in 1000 seeds fails by chance.
 _LIMIT = 4.0
@@ -159,3 +173,93 @@ def test_the_input_is_ignored_with_output_only(tmp_path):
     assert result.exit_code == 0, result.output
     assert not (tmp_path / "out" / "response").exists()
     assert len(pd.read_csv(tmp_path / "out" / "modes.csv")) == FREQUENCIES_HZ.size
+
+
+@pytest.fixture(scope="module")
+def shaken(tmp_path_factory):
+    """A film of a clamp that is shaken by hand, and its motion as another recorder shows it, 25 ms late.
+
+    The first frame is 5 ms after the start of the motion.
+    """
+    folder = tmp_path_factory.mktemp("films")
+    film("hand", 1, folder / "take.mkv", span_s=6.0)
+    base = late_base("hand", 1, 0.02)[:2400]
+    table = np.column_stack([np.arange(base.size) / RATE_HZ, base])
+    np.savetxt(folder / "laser.csv", table, delimiter=",", header="time_s,clamp", comments="")
+    return folder
+
+
+def _run(films, out, experiment):
+    camera = f"[camera]\nfps = {FILM_RATE_HZ}\nmm_per_px = {FILM_MM_PER_PX}\n[markers]\nkind = 'blob'\n"
+    (films / "experiment.toml").write_text(camera + experiment)
+    return CliRunner().invoke(app, ["run", str(films), "-o", str(out)])
+
+
+def _check_film(out, channels, participation):
+    (row,) = pd.read_csv(out / "modes.csv").itertuples()
+    scores = (
+        (row.frequency_hz - FREQUENCIES_HZ[0]) / row.frequency_sd_hz,
+        (row.damping_ratio - DAMPING_RATIOS[0]) / row.damping_ratio_sd,
+    )
+    assert np.max(np.abs(scores)) < _LIMIT, (
+        f"frequency and damping ratio are {scores} sd from those of the film"
+    )
+    # So that the limits mean something: 10 s of this film give 1.5 %.
+    assert row.damping_ratio_sd < 0.1 * DAMPING_RATIOS[0]
+    table = pd.read_csv(out / "participation.csv")
+    assert list(table.channel) == channels
+    off = (table.participation - participation) / table.participation_sd
+    assert np.max(np.abs(off)) < _LIMIT, f"simulated {participation}, found {list(table.participation)}"
+
+
+@pytest.mark.usefixtures("in_process", "no_figures")
+def test_a_marker_on_the_clamp_is_the_input_of_a_film(shaken, tmp_path):
+    result = _run(shaken, tmp_path / "out", 'input = ["m1"]\n')
+    assert result.exit_code == 0, result.output
+    _check_film(tmp_path / "out", ["m2", "m3", "m4"], PARTICIPATION[0, ::-1])
+
+
+@pytest.mark.usefixtures("in_process", "no_figures")
+def test_a_file_beside_a_film_holds_its_input(shaken, tmp_path):
+    """At twice the rate of the film and late; the marker on the clamp does not move relative to it."""
+    entry = "[[recordings]]\nfile = 'take.mkv'\ninput_file = 'laser.csv'\ninput_unit = 'mm'\ninput_lag_ms = 'auto'\n"
+    result = _run(shaken, tmp_path / "out", entry)
+    assert result.exit_code == 0, result.output
+    _check_film(tmp_path / "out", ["m1", "m2", "m3", "m4"], np.append(0.0, PARTICIPATION[0, ::-1]))
+    response = load_run(tmp_path / "out").recordings[0].identification.response
+    off_s = response.input_lag_s - 0.025
+    assert abs(off_s) < _LIMIT * response.input_lag_sd_s, (
+        f"late by 25 ms, found {1e3 * response.input_lag_s} ms"
+    )
+    again = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
+    assert "up to date" in again.output
+    (shaken / "laser.csv").write_text("time_s,clamp\n0,0\n1,0\n")
+    changed = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
+    assert "laser.csv: expected at least 8 samples" in changed.output
+
+
+@pytest.mark.usefixtures("in_process", "no_figures")
+def test_the_force_of_another_recorder_beside_a_table(tmp_path):
+    """Ten impacts of 1.5 ms at 8 kHz, displacements at 400 Hz; the recorder is 12 ms early."""
+    one = force_record("impacts", 3, -0.012, span_s=8.0)
+    series, force = np.column_stack([one.time_s, one.values]), np.column_stack([one.force_time_s, one.force])
+    np.savetxt(tmp_path / "take.csv", series, delimiter=",", header="time_s,a,b,c", comments="", fmt="%.9g")
+    np.savetxt(tmp_path / "hammer.csv", force, delimiter=",", header="time_s,force", comments="", fmt="%.9g")
+    command = ["identify", str(tmp_path / "take.csv"), "-o", str(tmp_path / "out"), "--unit", "mm"]
+    command += ["--input-file", str(tmp_path / "hammer.csv"), "--input-lag-ms", "-12"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    modes, table = (
+        pd.read_csv(tmp_path / "out" / "modes.csv"),
+        pd.read_csv(tmp_path / "out" / "participation.csv"),
+    )
+    for row, hz, zeta in zip(modes.itertuples(), FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):
+        assert abs(row.frequency_hz - hz) < _LIMIT * row.frequency_sd_hz
+        assert abs(row.damping_ratio - zeta) < _LIMIT * row.damping_ratio_sd
+    simulated = MM_PER_N * FREQUENCIES_HZ[0] ** 2 * PARTICIPATION.ravel()
+    # The filter changes frequencies of the fit by 2e-4 at most.
+    scores = (table.participation - simulated) / np.hypot(table.participation_sd, 2e-4 * simulated)
+    assert np.max(np.abs(scores)) < _LIMIT, (
+        f"modal constants {list(table.participation)}, simulated {simulated}"
+    )
+    assert np.isfinite(table.modal_mass).all()
