@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import cholesky
 from scipy.signal import lfilter
 
+from benchmarks.known_input_scenes import film_of
+from sim.beam import BeamModes
 from tracker import DisplacementSeries, FloatArray
+
+#: Distances of the dots of a film from the clamp.
+FILMED_MM = np.array([190.0, 340.0, 490.0])
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,24 @@ def response(
         motion[:, i] = z.imag
     sd = np.sqrt(np.diag(np.real(to_real @ stationary @ to_real.T))[m:])
     return motion / sd
+
+
+def ambient_film(
+    beam: BeamModes, damping_ratio: FloatArray, path: Path, *, seed: int, duration_s: float, rate_hz: float
+) -> Path:
+    """Film of the lowest modes of a hanging beam under random forces: dots at `FILMED_MM`, lossless, a px a mm.
+
+    The forces are independent; each mode moves the tip by 3 mm (sd) over its number.
+    """
+    rng, m = np.random.default_rng([0xF11, seed]), damping_ratio.size
+    # Four samples a frame: the spline between them changes mode 2 of the samples by 1e-4.
+    step_s = 0.25 / rate_hz
+    size = int(duration_s / step_s)
+    found = response(beam.frequency_hz[:m], damping_ratio, np.eye(m), size, step_s, rng)
+    shapes = beam.transverse_at(1e-3 * FILMED_MM)[:, :m]
+    across = found @ (3.0 / np.arange(1, m + 1) * shapes / np.abs(shapes[-1])).T
+    times_s = np.arange(1, int(duration_s * rate_hz) - 1) / rate_hz
+    return film_of((np.arange(size) * step_s, across), FILMED_MM, times_s, path, [0xF11, seed, 1])
 
 
 def coloured_noise(samples: int, channels: int, exponent: float, rng: np.random.Generator) -> FloatArray:

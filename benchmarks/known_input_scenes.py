@@ -183,21 +183,33 @@ def film(kind: str, seed: int, path: Path, *, span_s: float = SPAN_S) -> Path:
     """A lossless film of the motion of `record`: a dot on the clamp, the uppermost, and the markers below, tip last."""
     base, modes = motion(kind, np.random.default_rng([seed, KINDS.index(kind)]))
     across = base[:, None] + np.column_stack([np.zeros(base.size), modes @ PARTICIPATION[:, ::-1]])
+    moved = np.arange(base.size) / RATE_HZ, across
+    times_s = np.arange(1, int(span_s * FILM_RATE_HZ)) / FILM_RATE_HZ
     # At various fractions of a pixel.
-    down = np.tile([12.3, 28.1, 44.7, 60.9], (base.size, 1))
-    moved = SampledMotion(np.arange(base.size) / RATE_HZ, across, -down, np.zeros(across.shape))
+    return film_of(moved, np.array([12.3, 28.1, 44.7, 60.9]), times_s, path, [seed, KINDS.index(kind), 1])
+
+
+def film_of(
+    moved: tuple[np.ndarray, np.ndarray],
+    down_mm: np.ndarray,
+    times_s: np.ndarray,
+    path: Path,
+    seed: list[int],
+) -> Path:
+    """Dots below each other that move along the rows by the samples of `moved`, exposed for 1 ms at `times_s`."""
+    time_s, across = moved
+    motion = SampledMotion(time_s, across, np.tile(-down_mm, (time_s.size, 1)), np.zeros(across.shape))
     width = 2 * int(np.ceil(DOT_MM + np.max(np.abs(across)) / FILM_MM_PER_PX))
     camera = Camera(
         width_px=width,
-        height_px=74,
+        height_px=int(np.ceil(np.max(down_mm) + 1.3 * DOT_MM)),
         mm_per_px=FILM_MM_PER_PX,
         origin_px=(0.5 * width + 0.2, 0.0),
         exposure_s=1e-3,
         read_noise_sd=1.5,
         noise_gain=0.05,
     )
-    scene = Scene(markers=(DotMarker(diameter_mm=DOT_MM),) * 4, motion=moved)
-    times_s = np.arange(1, int(span_s * FILM_RATE_HZ)) / FILM_RATE_HZ
-    images = render_frames(scene, camera, times_s, np.random.default_rng([seed, KINDS.index(kind), 1]))
+    scene = Scene(markers=(DotMarker(diameter_mm=DOT_MM),) * down_mm.size, motion=motion)
+    images = render_frames(scene, camera, times_s, np.random.default_rng(seed))
     write_video(path, images, fps_container=Fraction(25), codec="ffv1")
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +11,6 @@ from scipy.optimize import minimize_scalar
 
 from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
 from modal_id.response.known_input import Weighted, criterion, fit_response, is_mode, with_free_lag
-from modal_id.response.noise import TUNING as NOISE
-from modal_id.response.noise import average
 from modal_id.response.solution import ResponseFit, solve_at, with_lag_variance
 from tracker import ComplexArray, FloatArray
 
@@ -46,6 +45,12 @@ class Tuning:
     #: [lags] between both ends
     #: statistics: At most a third of an sd apart for a normal posterior.
     lags: int = 41
+    #: [1] steps of the grid over which lags are not improbable, at least
+    #: statistics: Nine sd of a normal posterior: the mean is then exact to 1e-3 sd.
+    least_probable: int = 12
+    #: [s] length of the grid below which it is not narrowed
+    #: physics: Rounding of the times of a record of a day.
+    finest_s: float = 1e-10
     #: [lags] number of lags whose normal equations are solved together
     #: convention: Limits the memory.
     together: int = 500
@@ -169,20 +174,29 @@ def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | str:
         ends.append(before_s + turn * reach_s)
     if np.max(np.abs(ends)) >= limit_s:
         return f"is not determined: {1e3 * ends[0]:.3g} to {1e3 * ends[1]:.3g} ms explain the outputs alike"
-    lags = np.linspace(ends[0], ends[1], TUNING.lags)
-    scores = np.array([score(lag_s) for lag_s in lags])
-    odds = np.exp(np.min(scores) - scores)
+    lags, odds = _probable(score, ends[0], ends[1])
     lag_s = float(np.sum(odds * lags) / np.sum(odds))
     variance = float(np.sum(odds * (lags - lag_s) ** 2) / np.sum(odds))
     samples, poles = moved(lag_s)
     return with_lag_variance(solve_at(samples, samples, poles, found.noise, found.weights), variance)
 
 
+def _probable(score: Callable[[float], float], low_s: float, high_s: float) -> tuple[FloatArray, FloatArray]:
+    """Lags between both limits and their odds, on a grid that is narrowed until it resolves them."""
+    while True:
+        lags = np.linspace(low_s, high_s, TUNING.lags)
+        scores = np.array([score(lag_s) for lag_s in lags])
+        near = np.flatnonzero(scores < np.min(scores) + TUNING.improbable)
+        if near[-1] - near[0] >= TUNING.least_probable or high_s - low_s < TUNING.finest_s:
+            return lags, np.exp(np.min(scores) - scores)
+        low_s, high_s = lags[max(near[0] - 1, 0)], lags[min(near[-1] + 1, lags.size - 1)]
+
+
 def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> float:
     """The lag of the largest likelihood at the narrow poles of a fit, within the limit on both sides, in s.
 
-    Each output counts by its share of the power at each frequency: weights of a fit at a wrong lag are small where that
-    lag shows, and with equal ones the strongest motion decides alone.
+    Outputs count alike at all frequencies: weights of a fit at a wrong lag are small where that lag shows, and those of
+    the power of the outputs are large where only what leaks from the ends of the record is left.
     """
     narrow = -found.poles.real < TUNING.narrow_damping * np.abs(found.poles)
     poles = found.poles[narrow] if narrow.any() else found.poles
@@ -190,9 +204,7 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     half_step_s = 0.5 * samples.step_s
     count = int(limit_s / half_step_s)
     shifts = np.arange(-count, count + 1) - round(samples.lag_s / half_step_s)
-    half = len(samples.outputs) // 2
-    power = average(samples.outputs[:half] ** 2 + samples.outputs[half:] ** 2)
-    weights = 1.0 / np.maximum(power, NOISE.least_noise * np.max(power, axis=0) + 1e-300)
+    weights = np.ones((samples.frequency_hz.size, samples.values.shape[1]))
     near_s = samples.lag_s + half_step_s * float(
         shifts[int(np.argmin(_scores(samples, poles, shifts, weights)))]
     )

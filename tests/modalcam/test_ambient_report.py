@@ -3,12 +3,15 @@
 import numpy as np
 import pandas as pd
 import pytest
+from kit.beams import experiment
 from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
 import modalcam as mc
-from benchmarks.ambient_scenes import response, series_of
+from benchmarks.ambient_scenes import FILMED_MM, ambient_film, response, series_of
 from modalcam.cli import app
+from sim import sample_beam
+from sim.beam import AncfBeam, beam_modes
 
 RATE_HZ, HZ, ZETA = 40.0, 4.0, 0.02
 
@@ -60,3 +63,31 @@ def test_the_interface_gives_the_same(out):
     assert found.modes[0].frequency_hz == pytest.approx(row.frequency_hz, abs=0.1 * row.frequency_sd_hz)
     assert found.ambient.bands
     found.plot()
+
+
+@pytest.mark.usefixtures("in_process", "no_figures")
+@pytest.mark.parametrize("minutes", [1.0, pytest.param(5.0, marks=pytest.mark.slow)])
+def test_a_film_of_the_sample_beam_in_the_wind(tmp_path, minutes):
+    """Two modes of the beam of the samples, moved by random forces, from the film to the numbered modes."""
+    films, zeta = tmp_path / "films", np.array([0.02, 0.01])
+    films.mkdir()
+    beam = beam_modes(AncfBeam(sample_beam()), 2)
+    ambient_film(beam, zeta, films / "take.mkv", seed=1, duration_s=60.0 * minutes, rate_hz=30.0)
+    camera = f"[camera]\nfps = 30\nmm_per_px = 1.0\n[markers]\nkind = 'blob'\npositions_mm = {FILMED_MM.tolist()}\n"
+    (films / "experiment.toml").write_text(experiment(camera, elements=10))
+    command = ["run", str(films), "-o", str(tmp_path / "out"), "--excitation", "ambient"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    modes = pd.read_csv(tmp_path / "out" / "modes.csv")
+    assert list(modes["mode"]) == [1, 2], (
+        "the two modes of the simulation, by the frequencies and shapes of theory"
+    )
+    off_f = (modes.frequency_hz - beam.frequency_hz[:2]) / modes.frequency_sd_hz
+    relative_sd = modes.damping_ratio_sd / modes.damping_ratio
+    off_zeta = np.log(modes.damping_ratio / zeta) / relative_sd
+    # Normal in the logarithm of zeta; four values, each within 4 sd: one seed in 4000 fails by chance.
+    assert np.max(np.abs([off_f, off_zeta])) < 4.0, f"off by {list(off_f)} and {list(off_zeta)} sd"
+    # So that the limits mean something: a minute should give 27 and 16 % by the law of a long record.
+    assert (relative_sd < 0.5).all(), (
+        f"relative standard deviations of the damping ratios {list(relative_sd)}"
+    )

@@ -232,7 +232,7 @@ def test_a_file_beside_a_film_holds_its_input(shaken, tmp_path):
         f"late by 25 ms, found {1e3 * response.input_lag_s} ms"
     )
     again = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
-    assert "up to date" in again.output
+    assert "computed take\n" not in again.output.partition("reading")[2].partition("\n")[2], again.output
     (shaken / "laser.csv").write_text("time_s,clamp\n0,0\n1,0\n")
     changed = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
     assert "laser.csv: expected at least 8 samples" in changed.output

@@ -65,11 +65,13 @@ def _frames_to_keep(
     from modalcam.config import beam_properties  # noqa: PLC0415
     from tracker import MarkerTracks  # noqa: PLC0415
 
-    # the frames are shown beside the simulated beam only
+    # the frames are those of a decay, shown beside the simulated beam only
     if isinstance(beam_properties(context.config.beam), str):
         return None
     tracks, found = recording.tracks, recording.identified
     if recording.path is None or found is None or not found.modes or not isinstance(tracks, MarkerTracks):
+        return None
+    if not found.has_decay:
         return None
     source = InputFile(recording.path, recording.sha256)
     size_mm = context.config.for_recording(recording.file).size_mm
