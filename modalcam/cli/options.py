@@ -28,7 +28,7 @@ CONFIG_HELP = "config:"
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 NamedOut = Annotated[
     Path | None,
-    typer.Option("-o", "--out", help="Folder for the results; default: NAME-results in the working folder."),
+    typer.Option("-o", "--out", help="Results; default: folder NAME-results."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of all random numbers.")]
 Jobs = Annotated[
