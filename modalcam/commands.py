@@ -13,7 +13,7 @@ from functools import partial
 from importlib import import_module
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from modalcam.common import InputError, recording_names, shown
 from modalcam.config import (
@@ -26,7 +26,7 @@ from modalcam.config import (
     parse_recording,
     raw_config,
 )
-from modalcam.inputs import Discovery, Selection, discover
+from modalcam.inputs import Discovery, Selection, discover, hashes_of_inputs
 from modalcam.pipeline import (
     Cache,
     Context,
@@ -124,6 +124,7 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings, meanwhile=_load_stages())
+        from modalcam.inputs import with_recorded_input  # noqa: PLC0415
         from modalcam.pipeline import (  # noqa: PLC0415
             compile_for,
             measure,
@@ -132,24 +133,8 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
         compile_for(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
-        measured = measure(context, recordings, partial(_with_input_file, config))
+        measured = measure(context, recordings, partial(with_recorded_input, config))
         return _finish(context, options, measured, record, key(hashes.get))
-
-
-def _with_input_file(config: ExperimentConfig, recording: RecordingResult) -> RecordingResult:
-    """The recording with the input of its `input_file`, or why it cannot be used."""
-    from modalcam.inputs import with_input_file  # noqa: PLC0415
-    from tracker import Failure  # noqa: PLC0415
-
-    given = config.for_recording(recording.file)
-    if given.input_file is None or recording.series is None or recording.path is None:
-        return recording
-    try:
-        path = recording.path.parent / given.input_file
-        series = with_input_file(recording.series, path, given.input_column, given.input_unit)
-    except InputError as error:
-        return replace(recording, identification=Failure(str(error), recording.name))
-    return replace(recording, series=series)
 
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
@@ -409,7 +394,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
     wanted = [recording for recording in found.recordings if only is None or recording.file == only]
     path = options.config or folder / CONFIG_NAME
     raw = raw_config(path) if options.config is not None or path.exists() else {}
-    config = repr((raw, _hashes_beside(folder, raw)))
+    config = repr((raw, hashes_of_inputs(folder, raw)))
 
     def key(hash_of: _HashOf) -> str:
         sha256 = [hash_of(recording.path) for recording in wanted]
@@ -426,18 +411,6 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
         )
 
     return key
-
-
-def _hashes_beside(folder: Path, raw: Mapping[str, Any]) -> list[str]:
-    """SHA-256 of each `input_file` of a configuration that is not validated; empty where there is no such file."""
-    entries = raw.get("recordings", ())
-    named = [one for one in entries if isinstance(one, dict)] if isinstance(entries, list) else []
-    paths = [
-        folder / Path(str(one["file"])).parent / str(one["input_file"])
-        for one in named
-        if "file" in one and "input_file" in one
-    ]
-    return [file_sha256(path) if path.is_file() else "" for path in paths]
 
 
 def _finish(

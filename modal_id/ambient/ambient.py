@@ -144,9 +144,10 @@ def identify_ambient(
     Notes
     -----
     Bayesian identification from the FFT: Au (2017), Operational Modal Analysis, doi:10.1007/978-981-10-4118-1. The
-    force of each mode has a flat spectrum in its band. Draws are of the normal distribution in ln f and ln zeta with
-    the covariance of the Fisher information. The values of an accelerometer, whose spectrum is that of the
-    displacement times f^4, give a frequency that is too high by about 2 zeta^2.
+    force of each mode has a flat spectrum in its band. Draws have the covariance of the
+    Fisher information in ln f and ln zeta, that of ln f at the damping ratio of the draw. The values of an
+    accelerometer, whose spectrum is that of the displacement times f^4, give a frequency that is too high by about
+    2 zeta^2.
     """
     found = spectrum_of(prepared.data)
     if isinstance(found, Failure):

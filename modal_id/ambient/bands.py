@@ -226,7 +226,8 @@ def band_data(
     seen = values @ directions
     products = seen[:, :, None] * np.conj(seen[:, None, :])
     mean_hz = np.add.reduceat(frequency_hz, starts) / bins
-    responses = [transfer(mean_hz, tail[0], tail[1], spectrum.samples, spectrum.step_s) for tail in tails]
+    record = spectrum.samples, spectrum.step_s
+    responses = [transfer(mean_hz, one.frequency_hz, one.damping_ratio, *record) for one in tails]
     return BandData(
         mean_hz,
         bins,

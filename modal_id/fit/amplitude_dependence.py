@@ -211,7 +211,7 @@ def _decay(
         slopes[row, 1] = t * turned
         slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
         slopes[row, 3] = area * turned
-    # one by one: see `sim.beam.ancf.elastic`
+    # one by one: see `sim.beam.elastic`
     state[0], state[1], state[2] = area, area_0, area_2
     state[3], state[4], state[5], state[6] = last, last_0, last_2, last_s
     return wave, slopes

@@ -41,6 +41,7 @@ class Tuning:
     #: statistics: Probability 5e-5; a normal posterior ends at 4.5 sd.
     improbable: float = 10.0
     #: [1] factor between the lags that are tried for it
+    #: convention: The end is passed by at most half.
     growth: float = 1.5
     #: [lags] between both ends
     #: statistics: At most a third of an sd apart for a normal posterior.
@@ -204,10 +205,8 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     half_step_s = 0.5 * samples.step_s
     count = int(limit_s / half_step_s)
     shifts = np.arange(-count, count + 1) - round(samples.lag_s / half_step_s)
+    near_s = samples.lag_s + half_step_s * float(shifts[int(np.argmin(_scores(samples, poles, shifts)))])
     weights = np.ones((samples.frequency_hz.size, samples.values.shape[1]))
-    near_s = samples.lag_s + half_step_s * float(
-        shifts[int(np.argmin(_scores(samples, poles, shifts, weights)))]
-    )
 
     def score(lag_s: float) -> float:
         return Weighted(samples.with_lag(float(lag_s)), poles, weights).score
@@ -224,9 +223,7 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     return float(np.clip(best.x, -limit_s, limit_s))
 
 
-def _scores(
-    samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp], weights: FloatArray
-) -> FloatArray:
+def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> FloatArray:
     """Negative log likelihood of lags, by whole numbers of half samples more than that of the fit, shape (lags,).
 
     A lag turns the transform of what the input drives by a phase, as if the record were periodic: the normal equations
@@ -241,10 +238,8 @@ def _scores(
     driven, free = columns[:, is_driven], columns[:, ~is_driven]
     total = np.zeros(shifts.size)
     for out in range(samples.values.shape[1]):
-        weighted = (
-            np.sqrt(weights[:, [out]]) * one for one in (driven, free, samples.bins(samples.values[:, [out]]))
-        )
-        d, f, y = (one / np.linalg.norm(one, axis=0) for one in weighted)
+        y = samples.bins(samples.values[:, [out]])
+        d, f, y = (one / np.linalg.norm(one, axis=0) for one in (driven, free, y))
         products = np.zeros((2 * n, d.shape[1], f.shape[1] + 1), dtype=complex)
         products[samples.first : samples.last] = np.conj(d)[:, :, None] * np.column_stack([f, y])[:, None, :]
         turned = np.real(np.fft.fft(products, axis=0))

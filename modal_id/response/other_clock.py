@@ -18,6 +18,7 @@ class Tuning:
     #: from 1.4 of it; what the outputs' rate folds then lies above the fit.
     half_length: float = 6.3
     #: [1] parameter of Kaiser's window for 80 dB
+    #: physics: His formula, 0.1102 (80 - 8.7).
     beta: float = 7.86
     #: [1] rate of the input over that of the outputs below which it is refused
     #: physics: An input that was recorded slower does not hold the whole band; 1 % for clocks that differ.
@@ -44,7 +45,7 @@ def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) 
     -------
     array, shape (k,), or str
         NaN where the input was not recorded. Frequencies up to 0.6 of the outputs' Nyquist frequency are unchanged to
-        1e-4; an impact that is shorter than a step keeps its momentum.
+        2e-4; an impact that is shorter than a step keeps its momentum.
 
     Notes
     -----

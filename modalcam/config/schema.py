@@ -274,8 +274,7 @@ class BeamConfig(Options):
     )
     tension_n: Finite = Field(
         default=0.0,
-        description="Axial force of the straight beam without weight, negative in compression; needs two ends that are "
-        "not free.",
+        description="Axial force of the straight beam without weight, positive in tension; no end may be free.",
         examples=[20.0],
     )
 
@@ -353,8 +352,7 @@ class UpdatingConfig(Options):
     )
     point_mass: bool = Field(
         default=False,
-        description="Look for one point mass that [beam] lacks; the report lists the places where it may be. The "
-        "narrower the prior (bound), the fewer.",
+        description="Look for one point mass that [beam] lacks; the narrower the prior (bound), the fewer its places.",
     )
 
 
@@ -407,9 +405,8 @@ class _FileOptions(Options):
     )
     input_file: str | None = Field(
         default=None,
-        description="File of a measured input beside the recording, such as the force of a hammer, at its own rate: a "
-        "table that `modalcam identify` reads. Its time 0 is that of the first frame, but for input_lag_ms. Path "
-        "relative to the folder of the recording.",
+        description="Table of a measured input, such as the force of a hammer, at its own rate; path from the folder "
+        "of the recording. Its time 0 is that of the first frame, but for input_lag_ms.",
         examples=["hammer.csv"],
     )
     input_column: str | None = Field(

@@ -2,6 +2,7 @@ from .folder import Discovery as Discovery
 from .folder import Found as Found
 from .folder import Selection as Selection
 from .folder import discover as discover
+from .folder import hashes_of_inputs as hashes_of_inputs
 from .motion_of import motion_of as motion_of
 from .probe import RATE_UNKNOWN as RATE_UNKNOWN
 from .probe import Probe as Probe
@@ -13,6 +14,7 @@ from .series import series_from_table as series_from_table
 from .series import tracks_from_table as tracks_from_table
 from .series import with_input_file as with_input_file
 from .series import with_known_input as with_known_input
+from .series import with_recorded_input as with_recorded_input
 from .table import MAX_BYTES as MAX_BYTES
 from .table import Table as Table
 from .table import read_table as read_table

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePath
+from typing import Any
 
 from modalcam.common import InputError, NoInputError, natural_key, real, recording_names, shown
+from modalcam.pipeline import file_sha256
 from tracker.video import (
     HEADER_SUFFIXES,
     IMAGE_SUFFIXES,
@@ -224,3 +226,15 @@ def _stacks(folder: Path, tiffs: list[str], series: tuple[ImageSeries, ...]) -> 
         if members[0] in tiffs and not is_stack(folder / members[0]):
             single.update(members)
     return [name for name in tiffs if name not in single and is_stack(folder / name)]
+
+
+def hashes_of_inputs(folder: Path, raw: Mapping[str, Any]) -> list[str]:
+    """SHA-256 of each `input_file` of a configuration that is not validated; empty where there is no such file."""
+    entries = raw.get("recordings", ())
+    named = [one for one in entries if isinstance(one, dict)] if isinstance(entries, list) else []
+    paths = [
+        folder / Path(str(one["file"])).parent / str(one["input_file"])
+        for one in named
+        if "file" in one and "input_file" in one
+    ]
+    return [file_sha256(path) if path.is_file() else "" for path in paths]

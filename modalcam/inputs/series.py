@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from modal_id.response import at_other_times
 from modalcam.common import InputError, shown
+from modalcam.config import ExperimentConfig
 from modalcam.inputs.table import Table, read_table
+from modalcam.pipeline import RecordingResult
 from tracker import (
     LOSSY,
     TRACK_COLUMNS,
     DecodeReport,
     DisplacementSeries,
+    Failure,
     KnownInput,
     MarkerTracks,
     Scale,
@@ -176,6 +179,19 @@ def with_input_file(
     note = f"The input {shown(known.name)} is that of {where}, low-passed to the rate of the channels."
     notes = (*series.notes, note, *read.notes)
     return replace(series, known_input=replace(known, sd=known.sd * float(np.sqrt(rates))), notes=notes)
+
+
+def with_recorded_input(config: ExperimentConfig, recording: RecordingResult) -> RecordingResult:
+    """The recording with the input of its `input_file`, or why it cannot be used."""
+    given = config.for_recording(recording.file)
+    if given.input_file is None or recording.series is None or recording.path is None:
+        return recording
+    try:
+        path = recording.path.parent / given.input_file
+        series = with_input_file(recording.series, path, given.input_column, given.input_unit)
+    except InputError as error:
+        return replace(recording, identification=Failure(str(error), recording.name))
+    return replace(recording, series=series)
 
 
 def channel_positions(positions_mm: tuple[float, ...] | None, count: int, found: str) -> NDArray[np.float64]:

@@ -77,7 +77,7 @@ LINES = Group(
     ),
 )
 SIMULATION = Group(
-    "sim.compile:compile_for_simulations", ("sim.beam.ancf:elastic", "sim.dynamics.march:march")
+    "sim.compile:compile_for_simulations", ("sim.beam.elastic:elastic", "sim.dynamics.march:march")
 )
 DECAYS = Group(
     "modal_id.compile:compile_for_decays",

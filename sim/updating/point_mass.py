@@ -109,7 +109,7 @@ class PointMassPosterior:
 
     @cached_property
     def draws(self) -> tuple[FloatArray, FloatArray]:
-        """Places in m and masses in kg of 4000 draws."""
+        """Draws of the places in m and the masses in kg."""
         rng = np.random.default_rng(self.seed)
         cell = rng.choice(self.weight.size, TUNING.draws, p=self.weight)
         place = self.position_m[cell] + self.cell_m[cell] * rng.uniform(-0.5, 0.5, TUNING.draws)
