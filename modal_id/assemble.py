@@ -12,6 +12,7 @@ from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, n
 from modal_id.flags import ModeFlag
 from modal_id.modes import (
     MANY_OUTLIERS,
+    Conversion,
     FittedDecay,
     Numbering,
     TargetChoice,
@@ -84,8 +85,7 @@ def assemble(
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes, rate_hz)
-    predicted = series.position_errors is not None and series.position_errors.predicted
-    clock = conversion(model, steady_noise=outliers <= MANY_OUTLIERS, predicted=predicted)
+    clock = _conversion(series, model, outliers)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
     for index, outcome in enumerate(sampled):
@@ -143,6 +143,18 @@ def assemble(
         notes=(*found.notes, *notes_of_fit),
         fitting_rate=fitting,
     )
+
+
+def converted(series: DisplacementSeries, prepared: Prepared, fitted: FittedDecay) -> bool:
+    """Whether the frames of a decay show that a converter chose them."""
+    everything = _all_channels(prepared, fitted)
+    outliers = outlier_share(everything.given.weights, everything.data.values - everything.motion)
+    return _conversion(series, fitted.model, outliers) is not None
+
+
+def _conversion(series: DisplacementSeries, model: ModalFit, outliers: float) -> Conversion | None:
+    predicted = series.position_errors is not None and series.position_errors.predicted
+    return conversion(model, steady_noise=outliers <= MANY_OUTLIERS, predicted=predicted)
 
 
 def assemble_driven(

@@ -75,6 +75,10 @@ class ModeFlag(Enum):
         "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
         "the motion is not of the form that was fitted. The standard deviations were increased accordingly."
     )
+    INPUT_LATE = (
+        "The measured input explains the motion better when it is shifted in time: input and outputs do not share a "
+        "clock, or a sensor delays one of them. Frequency and damping ratio may be wrong."
+    )
 
     @property
     def usual_severity(self) -> Severity:
@@ -85,10 +89,12 @@ class ModeFlag(Enum):
 # Flags of a mode whose own note console and report quote, and how that begins.
 SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
 RATE_CONVERTED_NOTE = "Frames fit a converted rate"
+INPUT_LATE_NOTE = "The outputs follow"
 QUOTED = {
     ModeFlag.MAY_BE_DRIVEN: ModeFlag.MAY_BE_DRIVEN.value,
     ModeFlag.SHAPE_DISAGREES: SHAPE_DISAGREES_NOTE,
     ModeFlag.RATE_CONVERTED: RATE_CONVERTED_NOTE,
+    ModeFlag.INPUT_LATE: INPUT_LATE_NOTE,
 }
 
 
@@ -107,6 +113,7 @@ _USUAL = {
     ModeFlag.RESIDUAL_AT_MODE: Severity.WRONG,
     ModeFlag.SHAPE_DISAGREES: Severity.WRONG,
     ModeFlag.RATE_CONVERTED: Severity.WRONG,
+    ModeFlag.INPUT_LATE: Severity.WRONG,
     ModeFlag.NOT_CONFIRMED: Severity.WRONG,
     ModeFlag.AMPLITUDE_DEPENDENT: Severity.INTERVAL,
     ModeFlag.FEW_CYCLES_LOST: Severity.INTERVAL,

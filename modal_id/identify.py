@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.ambient import identify_ambient
-from modal_id.assemble import assemble, assemble_driven
+from modal_id.assemble import assemble, assemble_driven, converted
 from modal_id.data import (
     MIN_SAMPLES,
     Prepared,
@@ -30,7 +30,7 @@ from modal_id.modes import (
     without_faint,
     without_held,
 )
-from modal_id.pieces import fit_decays
+from modal_id.pieces import DecayFits, fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.response import identify_response
@@ -200,6 +200,8 @@ def _identified(
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
     lowest_hz, named_hz = settings.lowest_hz, settings.add_hz
     fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
+    if not whole and (undivided := _of_uneven_frames(series, used, parts, fits, settings)) is not None:
+        fits = undivided
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
         return with_rate_error(_of_decays(series, settings, used, fits.decays, segments))
@@ -208,6 +210,28 @@ def _identified(
         return with_rate_error(replace(found, segments=segments))
     reason = "; ".join(fits.reasons) or (_SHORT if parts.decays else parts.none.note.rstrip("."))
     return Failure(f"{reason}. {seen(segments)}", series.name)
+
+
+def _of_uneven_frames(
+    series: DisplacementSeries,
+    used: Prepared,
+    parts: RecordParts,
+    fits: DecayFits,
+    settings: IdentifySettings,
+) -> DecayFits | None:
+    """One decay in place of a divided one whose changes are frames that a converter chose; None where they are not."""
+    if not parts.decays:
+        return None
+    first, last_s = parts.decays[0].onset, float(series.time_s[used.first_row + used.repeated.size - 1])
+    after = [s for s in fits.segments if s.kind in ("decay", "disturbed") and s.start_s >= first.fit_from_s]
+    if len(after) < 2:
+        return None
+    before = tuple(s for s in parts.segments if s.start_s < first.time_s)
+    whole = replace(parts, decays=(Decay(first, last_s),), segments=before)
+    undivided = fit_decays(
+        series, used, whole, settings.max_modes, settings.lowest_hz, whole=True, named_hz=settings.add_hz
+    )
+    return undivided if undivided.decays and converted(series, used, undivided.decays[0]) else None
 
 
 def _of_decays(

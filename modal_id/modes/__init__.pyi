@@ -14,6 +14,7 @@ from .checks import row_delay as row_delay
 from .combine import Combined as Combined
 from .combine import between_interval as between_interval
 from .combine import combine as combine
+from .converted_rate import Conversion as Conversion
 from .converted_rate import any_variance_cost as any_variance_cost
 from .converted_rate import conversion as conversion
 from .converted_rate import least_gain as least_gain

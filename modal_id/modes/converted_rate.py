@@ -141,7 +141,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
     if skipped > TUNING.skipped:
         counted = Clock("inserted", 1.0 - skipped, 0.0)
         fit = record.fit_clock(counted)
-        evidence = _evidence(record, even, fit)
+        evidence = _evidence(record, even, fit, record.mixing(counted))
         if evidence > 0.0:
             return Conversion("inserted", counted.ratio, evidence, ~fit.modes)
     _, velocity = record.motion(even)
@@ -184,11 +184,11 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
         fits = [(_fit(record, clock), clock) for clock in clocks]
-        judged = [(_evidence(record, even, fit), fit, clock) for fit, clock in fits]
+        judged = [(_evidence(record, even, fit, record.mixing(clock)), fit, clock) for fit, clock in fits]
         evidence, fit, clock = max(judged, key=lambda one: one[0])
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
             continue
-        if kind == "blended" and _independent(fit.residual) < TUNING.mostly_noise:
+        if kind == "blended" and _independent(fit.residual, record.mixing(clock)) < TUNING.mostly_noise:
             continue
         if not _resembles(record, even, clock, fit):
             return Conversion(kind, clock.ratio, evidence, ~fit.modes)
@@ -304,17 +304,17 @@ def _cheapest(record: DecayRecord, clocks: Iterable[Clock], *, exact: bool = Fal
     return min(clocks, key=lambda one: record.fit_clock(one, exact=exact).cost)
 
 
-def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit) -> float:
+def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit, mixing: FloatArray) -> float:
     """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach.
 
-    Samples count as many times as they are independent; a mode that is left out makes the residual correlated, and the
-    loss counts as that of the residual with it. The clock must explain what is left out: without these modes, it gains
-    as much over even frames.
+    Samples count as many times as they are independent, but for the correlation by `mixing` of frames; a mode that is
+    left out makes the residual correlated, and the loss counts as that of the residual with it. The clock must explain
+    what is left out: without these modes, it gains as much over even frames.
     """
     without = record.fit(record.evenly(), found.modes)
-    explained = (without.cost - found.cost) * _independent(found.residual)
+    explained = (without.cost - found.cost) * _independent(found.residual, mixing)
     gain = even.cost - found.cost
-    share = _independent(found.residual if gain > 0.0 else even.residual)
+    share = _independent(found.residual, mixing) if gain > 0.0 else _independent(even.residual)
     per_parameter = float(np.log(max(share * record.values.size, 2.0)))
     gain = share * gain + (even.parameters - found.parameters) * per_parameter
     return min(gain, explained) - least_gain(record)
@@ -340,13 +340,16 @@ def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:
     return record.fit(Waves(record.evenly().modes, np.maximum(variance[phase], 1e-3)), record.all_modes)
 
 
-def _independent(residual: FloatArray) -> float:
-    """Share of the samples that are independent, by their autocorrelation; shape (n, r)."""
+def _independent(residual: FloatArray, expected: FloatArray | None = None) -> float:
+    """Share of the samples, shape (n, r), that are independent, by their autocorrelation beyond an expected one."""
     n = residual.shape[0]
     size = next_fast_len(2 * n)
     power = np.mean(np.abs(rfft(residual, size, axis=0)) ** 2, axis=1)
     correlation = irfft(power, size)[: min(TUNING.lags, n // 4) + 1]
     correlation = correlation / max(float(correlation[0]), 1e-300)
+    if expected is not None:
+        known = min(expected.size, correlation.size - 1)
+        correlation[1 : known + 1] -= expected[:known]
     # What noise adds to the sum of squares.
     excess = np.maximum(correlation[1:] ** 2 - 4.0 / residual.size, 0.0)
     return float(1.0 / (1.0 + 2.0 * np.sum(excess)))

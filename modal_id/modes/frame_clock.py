@@ -221,6 +221,21 @@ class DecayRecord:
         double = waves[:, self.strongest] * np.exp(2.0 * strongest.real * self.rows) * error
         return Waves(waves, variance, double)
 
+    def mixing(self, clock: Clock) -> FloatArray:
+        """Correlation of the noise of blended frames at lags of 1, 2 ..., which show the same recorded frames."""
+        if clock.kind != "blended":
+            return np.zeros(0)
+        place = clock.ratio * np.arange(self.length) + clock.phase
+        frame = np.floor(place + 1e-9)
+        weight = np.clip(place - frame, 0.0, 1.0)
+        shares = np.stack([1.0 - weight, weight]) / np.hypot(1.0 - weight, weight)
+        found = []
+        for lag in range(1, int(2.0 / clock.ratio) + 1):
+            apart, first, later = frame[lag:] - frame[:-lag], shares[:, :-lag], shares[:, lag:]
+            both = (apart == 0.0) * np.sum(first * later, axis=0) + (apart == 1.0) * first[1] * later[0]
+            found.append(np.mean(both))
+        return np.array(found)
+
     def _bins_beside(self, clock: Clock) -> float:
         """Cycles per record from the first side bands to the mode, or from the pattern to alternate frames."""
         own = self.poles[self.strongest].imag / (2.0 * np.pi)

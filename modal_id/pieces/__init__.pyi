@@ -1,3 +1,4 @@
+from .fit_decays import DecayFits as DecayFits
 from .fit_decays import fit_decays as fit_decays
 from .fit_decays import mean_scatter_rad_s as mean_scatter_rad_s
 from .fit_pieces import misfit as misfit

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
-from modal_id.flags import ModeFlag
+from modal_id.flags import INPUT_LATE_NOTE, ModeFlag
 from modal_id.mode_values import FrequencyResponse
 from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
@@ -17,7 +17,7 @@ from modal_id.record import Onset, Segment
 from modal_id.response.candidates import candidates
 from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
 from modal_id.response.known_input import criterion, fit_response
-from modal_id.response.lag import fit_with_lag
+from modal_id.response.lag import better_lag, fit_with_lag
 from modal_id.response.noise import InputNoise
 from modal_id.response.solution import TUNING as FRF
 from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
@@ -202,6 +202,12 @@ def _assembled(
     listed = [_mode(series, prepared, known, found, index, settings) for index in range(found.poles.size)]
     failed = [one for one in listed if isinstance(one, FailedMode)]
     modes = [one for one in listed if isinstance(one, IdentifiedMode)]
+    if settings.input_lag_ms is None and (late_s := better_lag(found)) is not None:
+        words = (
+            f"{INPUT_LATE_NOTE} {known.name} better with a lag of {1e3 * late_s:.3g} ms: bring both to one clock, or "
+            'give input_lag_ms (a number or "auto").'
+        )
+        modes = [mode.with_flags([ModeFlag.INPUT_LATE], words) for mode in modes]
     kept, others = numbered(modes, settings, 1.0 / samples.step_s)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     whole = rows.stop - rows.start == series.time_s.size

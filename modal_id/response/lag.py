@@ -223,6 +223,23 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     return float(np.clip(best.x, -limit_s, limit_s))
 
 
+def better_lag(found: ResponseFit) -> float | None:
+    """Lag in s that explains the outputs better than none at the poles of a fit without one, beyond doubt; or None.
+
+    Both with the outputs counted alike at all frequencies and with the weights of the fit: each alone is misled, by a
+    strong line that is no mode, or by what a wrong lag left.
+    """
+    channel = Channel.through(found.samples.time_s, found.samples.input, found.samples.given)
+    late_s = most_likely_lag(found, channel, TUNING.most_share * found.samples.span_s)
+    none = replace(found.samples, channel=channel)
+    late = none.with_lag(late_s)
+    gains = (
+        Weighted(none, found.poles, weights).score - Weighted(late, found.poles, weights).score
+        for weights in (np.ones_like(found.weights), found.weights)
+    )
+    return late_s if min(gains) > TUNING.improbable else None
+
+
 def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> FloatArray:
     """Negative log likelihood of lags, by whole numbers of half samples more than that of the fit, shape (lags,).
 
