@@ -231,7 +231,10 @@ def _of_uneven_frames(
     undivided = fit_decays(
         series, used, whole, settings.max_modes, settings.lowest_hz, whole=True, named_hz=settings.add_hz
     )
-    return undivided if undivided.decays and converted(series, used, undivided.decays[0]) else None
+    # A fit with a reason leaves motion that no free decay explains: what divided the record is no matter of its frames.
+    if not undivided.decays or undivided.reasons or not converted(series, used, undivided.decays[0]):
+        return None
+    return undivided
 
 
 def _of_decays(
