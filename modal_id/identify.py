@@ -223,7 +223,7 @@ def _of_uneven_frames(
     if not parts.decays:
         return None
     first, last_s = parts.decays[0].onset, float(series.time_s[used.first_row + used.repeated.size - 1])
-    after = [s for s in fits.segments if s.kind in ("decay", "disturbed") and s.start_s >= first.fit_from_s]
+    after = [s for s in fits.segments if s.kind in ("decay", "disturbed") and s.start_s >= first.time_s]
     if len(after) < 2:
         return None
     before = tuple(s for s in parts.segments if s.start_s < first.time_s)

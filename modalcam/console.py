@@ -306,12 +306,13 @@ def _contradictions(recording: dict[str, Any]) -> list[str]:
     """What contradicts the recorded rate, or else what each mode's shape and the times of its frames contradict."""
     if recording["fitting_rate"]:
         return [str(FittingRate(**recording["fitting_rate"]))]
-    return [
+    notes = (
         f"{'a mode' if mode['mode'] is None else 'mode ' + str(mode['mode'])}: {note}"
         for mode in recording["modes"]
         for flag in QUOTED
         if (note := quoted_note(flag, mode["notes"]))
-    ]
+    )
+    return list(dict.fromkeys(notes))
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:

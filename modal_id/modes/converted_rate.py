@@ -70,6 +70,8 @@ _REPEATING = (1, 2, 3, 4)
 # With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
 _OTHER_SHARES = (0.6, 1.4)
 
+_UNMIXED: FloatArray = np.zeros(0)
+
 _HOW: dict[Kind, str] = {
     "moved": "recorded ones were left out or repeated",
     "blended": "means of two recorded ones",
@@ -141,7 +143,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
     if skipped > TUNING.skipped:
         counted = Clock("inserted", 1.0 - skipped, 0.0)
         fit = record.fit_clock(counted)
-        evidence = _evidence(record, even, fit, record.mixing(counted))
+        evidence = _evidence(record, even, fit)
         if evidence > 0.0:
             return Conversion("inserted", counted.ratio, evidence, ~fit.modes)
     _, velocity = record.motion(even)
@@ -183,12 +185,12 @@ def any_variance_cost(record: DecayRecord, even: ClockFit) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        fits = [(_fit(record, clock), clock) for clock in clocks]
-        judged = [(_evidence(record, even, fit, record.mixing(clock)), fit, clock) for fit, clock in fits]
-        evidence, fit, clock = max(judged, key=lambda one: one[0])
+        fits = [(_fit(record, clock), clock, record.mixing(clock)) for clock in clocks]
+        judged = [(_evidence(record, even, fit, mixing), fit, clock, mixing) for fit, clock, mixing in fits]
+        evidence, fit, clock, mixing = max(judged, key=lambda one: one[0])
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
             continue
-        if kind == "blended" and _independent(fit.residual, record.mixing(clock)) < TUNING.mostly_noise:
+        if kind == "blended" and _independent(fit.residual, mixing) < TUNING.mostly_noise:
             continue
         if not _resembles(record, even, clock, fit):
             return Conversion(kind, clock.ratio, evidence, ~fit.modes)
@@ -304,7 +306,7 @@ def _cheapest(record: DecayRecord, clocks: Iterable[Clock], *, exact: bool = Fal
     return min(clocks, key=lambda one: record.fit_clock(one, exact=exact).cost)
 
 
-def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit, mixing: FloatArray) -> float:
+def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit, mixing: FloatArray = _UNMIXED) -> float:
     """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach.
 
     Samples count as many times as they are independent, but for the correlation by `mixing` of frames; a mode that is
@@ -340,16 +342,14 @@ def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:
     return record.fit(Waves(record.evenly().modes, np.maximum(variance[phase], 1e-3)), record.all_modes)
 
 
-def _independent(residual: FloatArray, expected: FloatArray | None = None) -> float:
-    """Share of the samples, shape (n, r), that are independent, by their autocorrelation beyond an expected one."""
+def _independent(residual: FloatArray, mixing: FloatArray = _UNMIXED) -> float:
+    """Share of the samples, shape (n, r), that are independent, by their autocorrelation beyond that of `mixing`."""
     n = residual.shape[0]
     size = next_fast_len(2 * n)
     power = np.mean(np.abs(rfft(residual, size, axis=0)) ** 2, axis=1)
     correlation = irfft(power, size)[: min(TUNING.lags, n // 4) + 1]
     correlation = correlation / max(float(correlation[0]), 1e-300)
-    if expected is not None:
-        known = min(expected.size, correlation.size - 1)
-        correlation[1 : known + 1] -= expected[:known]
+    correlation[1 : mixing.size + 1] -= mixing
     # What noise adds to the sum of squares.
     excess = np.maximum(correlation[1:] ** 2 - 4.0 / residual.size, 0.0)
     return float(1.0 / (1.0 + 2.0 * np.sum(excess)))

@@ -204,15 +204,14 @@ class DecayRecord:
         """
         if clock.kind == "inserted":
             return Waves(np.exp(np.outer(np.arange(self.rows.size) / clock.ratio, self.poles)))
-        place = clock.ratio * (self.rows - self.length // 2) + clock.phase
-        frame = np.floor(place + 1e-9)
+        _, part = self._recorded(clock, self.rows)
         if clock.kind == "moved":
-            time = self.rows + share * ((frame - place) / clock.ratio)
-            return Waves(np.exp(np.outer(time, self.poles)))
-        weight = np.clip(place - frame, 0.0, 1.0)
+            time = self.rows - share * part / clock.ratio
+            return Waves(np.exp(np.multiply.outer(time, self.poles)))
+        weight = np.clip(part, 0.0, 1.0)
         poles = self.poles / clock.ratio
         mean = (1.0 - weight)[:, None] + weight[:, None] * np.exp(poles)
-        waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
+        waves = np.exp(np.outer(self.rows, self.poles) - np.multiply.outer(weight, poles)) * mean
         strongest = self.poles[self.strongest]
         variance = weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
         if self._bins_beside(clock) < TUNING.separate_bins:
@@ -222,19 +221,23 @@ class DecayRecord:
         return Waves(waves, variance, double)
 
     def mixing(self, clock: Clock) -> FloatArray:
-        """Correlation of the noise of blended frames at lags of 1, 2 ..., which show the same recorded frames."""
+        """Correlation of the noise of blended frames at lags of 1, 2 ... rows, which show the same recorded frames."""
         if clock.kind != "blended":
             return np.zeros(0)
-        place = clock.ratio * np.arange(self.length) + clock.phase
-        frame = np.floor(place + 1e-9)
-        weight = np.clip(place - frame, 0.0, 1.0)
-        shares = np.stack([1.0 - weight, weight]) / np.hypot(1.0 - weight, weight)
+        frame, part = self._recorded(clock, np.arange(self.length))
+        shares = np.stack([1.0 - part, part]) / np.hypot(1.0 - part, part)
         found = []
         for lag in range(1, int(2.0 / clock.ratio) + 1):
             apart, first, later = frame[lag:] - frame[:-lag], shares[:, :-lag], shares[:, lag:]
             both = (apart == 0.0) * np.sum(first * later, axis=0) + (apart == 1.0) * first[1] * later[0]
             found.append(np.mean(both))
         return np.array(found)
+
+    def _recorded(self, clock: Clock, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """The recorded frame that each row shows, and how far the row is beyond it, in recorded frames."""
+        place = clock.ratio * (rows - self.length // 2) + clock.phase
+        frame = np.floor(place + 1e-9)
+        return frame, place - frame
 
     def _bins_beside(self, clock: Clock) -> float:
         """Cycles per record from the first side bands to the mode, or from the pattern to alternate frames."""

@@ -138,7 +138,10 @@ class Weighted:
         root = np.sqrt(np.concatenate([weights, weights]))
         self._root = root / np.sqrt(np.mean(root**2, axis=0))
         columns, self._scale = scaled(samples.columns(poles))
-        self._factors = [np.linalg.qr(columns * own[:, None]) for own in self._root.T]
+        # One factorization where all outputs have the same weights.
+        alike = bool(np.all(self._root == self._root[:, :1]))
+        factors = [np.linalg.qr(columns * own[:, None]) for own in self._root.T[: 1 if alike else None]]
+        self._factors = factors * self._root.shape[1] if alike else factors
         values = samples.outputs * self._root
         self._explained = [q.T @ values[:, out] for out, (q, _) in enumerate(self._factors)]
         self.residual = np.column_stack(

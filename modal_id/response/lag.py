@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 
 from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
@@ -237,7 +238,7 @@ def better_lag(found: ResponseFit) -> float | None:
         Weighted(none, found.poles, weights).score - Weighted(late, found.poles, weights).score
         for weights in (np.ones_like(found.weights), found.weights)
     )
-    return late_s if min(gains) > TUNING.improbable else None
+    return late_s if all(gain > TUNING.improbable for gain in gains) else None
 
 
 def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> FloatArray:
@@ -246,38 +247,41 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     A lag turns the transform of what the input drives by a phase, as if the record were periodic: the normal equations
     of all lags are Fourier transforms of the products of the columns at one lag.
     """
-    n = samples.time_s.size
-    size = samples.frequency_hz.size
+    n, size = samples.time_s.size, samples.frequency_hz.size
     columns = samples.bins(samples.in_time(poles))
     is_driven = np.zeros(columns.shape[1], dtype=bool)
     is_driven[:2] = True
     is_driven[FIXED:] = np.arange(columns.shape[1] - FIXED) % OF_MODE < 2
-    driven, free = columns[:, is_driven], columns[:, ~is_driven]
+    both = (columns[:, is_driven], columns[:, ~is_driven], samples.bins(samples.values))
+    driven, free, outputs = (one / np.linalg.norm(one, axis=0) for one in both)
+    products = np.zeros((n + 1, driven.shape[1], free.shape[1] + outputs.shape[1]), dtype=complex)
+    products[samples.first : samples.last] = (
+        driven[:, :, None] * np.conj(np.hstack([free, outputs]))[:, None, :]
+    )
+    # Real parts of the sums over the bins: the inverse transform counts all but the first and the last twice.
+    products[[0, n]] *= 2.0
+    turned = n * irfft(products, 2 * n, axis=0)
+    of_driven, of_free = np.real(np.conj(driven.T) @ driven), np.real(np.conj(free.T) @ free)
+    of_outputs = np.real(np.conj(free.T) @ outputs)
     total = np.zeros(shifts.size)
-    for out in range(samples.values.shape[1]):
-        y = samples.bins(samples.values[:, [out]])
-        d, f, y = (one / np.linalg.norm(one, axis=0) for one in (driven, free, y))
-        products = np.zeros((2 * n, d.shape[1], f.shape[1] + 1), dtype=complex)
-        products[samples.first : samples.last] = np.conj(d)[:, :, None] * np.column_stack([f, y])[:, None, :]
-        turned = np.real(np.fft.fft(products, axis=0))
-        of_driven, of_free = np.real(np.conj(d.T) @ d), np.real(np.conj(f.T) @ f)
-        of_output = np.real(np.conj(f.T) @ y)[:, 0]
-        for start in range(0, shifts.size, TUNING.together):
-            own = turned[shifts[start : start + TUNING.together] % (2 * n)]
-            total[start : start + len(own)] += size * np.log(_left(of_driven, of_free, of_output, own))
+    for start in range(0, shifts.size, TUNING.together):
+        chosen = slice(start, start + TUNING.together)
+        left = _left(of_driven, of_free, of_outputs, turned[shifts[chosen] % (2 * n)])
+        total[chosen] = size * np.sum(np.log(left), axis=1)
     return total
 
 
 def _left(
-    of_driven: FloatArray, of_free: FloatArray, of_output: FloatArray, turned: FloatArray
+    of_driven: FloatArray, of_free: FloatArray, of_outputs: FloatArray, turned: FloatArray
 ) -> FloatArray:
-    """Share of an output that no combination of the columns explains, at each lag."""
-    p = len(of_driven)
-    normal = np.empty((len(turned), p + len(of_free), p + len(of_free)))
+    """Share of each output that no combination of the columns explains, at each lag; shape (lags, outputs)."""
+    p, q = len(of_driven), len(of_free)
+    normal = np.empty((len(turned), p + q, p + q))
     normal[:, :p, :p], normal[:, p:, p:] = of_driven, of_free
-    normal[:, :p, p:] = turned[:, :, :-1]
-    normal[:, p:, :p] = np.swapaxes(turned[:, :, :-1], 1, 2)
-    normal += TUNING.ridge * np.eye(normal.shape[1])
-    right = np.column_stack([turned[:, :, -1], np.broadcast_to(of_output, (len(turned), len(of_free)))])
-    solved = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    normal[:, :p, p:] = turned[:, :, :q]
+    normal[:, p:, :p] = np.swapaxes(turned[:, :, :q], 1, 2)
+    normal += TUNING.ridge * np.eye(p + q)
+    free = np.broadcast_to(of_outputs, (len(turned), *of_outputs.shape))
+    right = np.concatenate([turned[:, :, q:], free], axis=1)
+    solved = np.linalg.solve(normal, right)
     return np.asarray(np.maximum(1.0 - np.sum(solved * right, axis=1), TUNING.ridge))

@@ -119,7 +119,7 @@ def test_the_lag_of_the_input_is_estimated(kind: str, seed: int, lag: float) -> 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.0066])
 def test_an_input_that_is_late_without_a_word_is_flagged(lag_s: float) -> None:
-    """Frequencies are then off by up to 8 sd; at the true lag the test has one false alarm in 50 000."""
+    """Values are then off by up to 8 sd; at the true lag another one is never e^10 times as likely, but in 1 of 1e5."""
     series = _series(replace(record("random", 1), base=late_base("random", 1, lag_s)), input_sd=0.0)
     flags = {flag for mode in _found(series).modes for flag in mode.wrong_flags}
     assert ("INPUT_LATE" in flags) == (lag_s > 0.0), f"the input is late by {lag_s} s: {flags}"
