@@ -221,7 +221,7 @@ def _integrals(pole: complex, step: float, growth: complex, into: ComplexArray) 
 
 @dataclass(frozen=True)
 class Channel:
-    """The input as a function of time, and which outputs are given where it is known.
+    """The input as a function of time.
 
     Attributes
     ----------
@@ -229,17 +229,14 @@ class Channel:
         Through the samples, gaps filled.
     start_s, end_s : float
         First and last sample.
-    given : bool array, shape (n, k)
-        Outputs that are not missing.
     """
 
     spline: BSpline
     start_s: float
     end_s: float
-    given: BoolArray
 
     @classmethod
-    def through(cls, time_s: FloatArray, values: FloatArray, given: BoolArray) -> Channel:
+    def through(cls, time_s: FloatArray, values: FloatArray) -> Channel:
         """Of samples, shape (n,), NaN where missing."""
         # Continued by its image in both end points: a spline that ends at a sample oscillates there, and what it adds
         # to all frequencies moves the lag (broad record 26 of benchmarks/known_input.py: 2 mm, 5 sd of the lag).
@@ -248,17 +245,14 @@ class Channel:
             for one in (time_s, drive(time_s, values).at_samples())
         )
         spline = make_interp_spline(longer_s, filled, TUNING.degree)
-        return cls(spline, float(time_s[0]), float(time_s[-1]), given)
+        return cls(spline, float(time_s[0]), float(time_s[-1]))
 
-    def at(self, time_s: FloatArray, lag_s: float) -> tuple[FloatArray, BoolArray]:
-        """The input of which the record at `time_s` is `lag_s` late, and whether it was recorded; shapes (n,).
+    def at(self, time_s: FloatArray, lag_s: float) -> FloatArray:
+        """The input of which the record at `time_s` is `lag_s` late; shape (n,).
 
         Before the first and after the last sample it is that sample.
         """
-        late = time_s + lag_s
-        inside = (late >= self.start_s) & (late <= self.end_s)
-        values = self.spline(np.clip(late, self.start_s, self.end_s))
-        return np.asarray(values, dtype=np.float64), np.asarray(inside)
+        return np.asarray(self.spline(np.clip(time_s + lag_s, self.start_s, self.end_s)), dtype=np.float64)
 
 
 #: Columns beside those of the modes: the input, its second derivative (the modes above the band), the polynomial.
@@ -365,11 +359,31 @@ class Samples:
         return replace(self, input=values)
 
     def with_lag(self, lag_s: float) -> Samples:
-        """The same with the input of another lag; outputs do not count where it was not recorded."""
-        if self.channel is None:
-            return self
-        values, seen = self.channel.at(self.time_s, lag_s)
-        return replace(self, input=values, given=self.channel.given & seen[:, None], lag_s=lag_s)
+        """The same with the input of another lag."""
+        return (
+            self
+            if self.channel is None
+            else replace(self, input=self.channel.at(self.time_s, lag_s), lag_s=lag_s)
+        )
+
+    def late(self, channel: Channel, lag_s: float, reach_s: float = 0.0) -> Samples:
+        """The rows at which the input of all lags within `reach_s` of one was recorded; without reach, of a fixed lag.
+
+        Rows without an input at the ends would be filled by the fitted motion, of which what the first rounds leave is
+        taken for strongly damped modes (seed 1009 of the broad records of benchmarks/known_input.py).
+        """
+        late_s = self.time_s + lag_s
+        known = np.flatnonzero((late_s - reach_s >= channel.start_s) & (late_s + reach_s <= channel.end_s))
+        return replace(
+            self,
+            time_s=self.time_s[known],
+            values=self.values[known],
+            given=self.given[known],
+            input=channel.at(self.time_s[known], lag_s),
+            last=self.last * known.size // self.time_s.size,
+            channel=channel if reach_s > 0.0 else None,
+            lag_s=lag_s,
+        )
 
     def of_lag(self, poles: ComplexArray, coefficients: FloatArray) -> FloatArray:
         """Derivative of the motion that the input causes with respect to its lag, as `rows`; shape (2 b, k)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +115,7 @@ def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> Res
             f"the lag of the input {known.name}, {settings.input_lag_ms:g} ms, leaves less than "
             f"{100.0 * (1.0 - TUNING.most_lag):.0f} % of the record of {data.span_s:.3g} s: bring both to one clock"
         )
-    channel = Channel.through(data.time_s, data.input, data.given)
-    late = replace(data, channel=channel).with_lag(lag_s)
-    return fit_response(replace(late, channel=None), *options)
+    return fit_response(data.late(Channel.through(data.time_s, data.input), lag_s), *options)
 
 
 def _samples(
@@ -191,8 +189,12 @@ def _assembled(
     settings: IdentifySettings,
 ) -> Identification:
     samples, k = found.samples, len(series.channels)
+    time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
+    # Without those at which a late input was not recorded.
+    places -= np.searchsorted(time_s, samples.time_s[0])
+    own = np.flatnonzero((places >= 0) & (places < samples.time_s.size))
+    places, rows = places[own], slice(rows.start + int(own[0]), rows.start + int(own[-1]) + 1)
     cells = np.ix_(np.arange(rows.start, rows.stop), prepared.channels)
-    places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])[1]
     columns = samples.in_time(found.poles)[places]
     fitted, baseline, used = (np.full((series.time_s.size, k), np.nan) for _ in range(3))
     fitted[cells] = columns @ found.coefficients

@@ -97,6 +97,11 @@ def with_free_lag(found: ResponseFit, input_sd: float) -> ResponseFit | None:
     return _without_weak(found, found.poles, known, criterion(found.samples), TUNING.rounds)
 
 
+def most_iterated_s(samples: Samples) -> float:
+    """The farthest that the iteration moves a lag: half a sample in each round."""
+    return 0.5 * TUNING.rounds * samples.step_s
+
+
 def criterion(samples: Samples) -> float:
     """Gain of log likelihood from which a mode is accepted: the Bayesian information criterion."""
     return float(0.5 * (2 + OF_MODE * samples.values.shape[1]) * np.log(2 * samples.frequency_hz.size))

@@ -11,7 +11,14 @@ from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 
 from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
-from modal_id.response.known_input import Weighted, criterion, fit_response, is_mode, with_free_lag
+from modal_id.response.known_input import (
+    Weighted,
+    criterion,
+    fit_response,
+    is_mode,
+    most_iterated_s,
+    with_free_lag,
+)
 from modal_id.response.solution import ResponseFit, solve_at, with_lag_variance
 from tracker import ComplexArray, FloatArray
 
@@ -79,12 +86,12 @@ def fit_with_lag(
     The lag is seen where the response is not that of one resonance alone: in the motion of the base itself, and between
     resonances. That residues are real for proportional damping is not used.
     """
-    channel = Channel.through(samples.time_s, samples.input, samples.given)
+    channel = Channel.through(samples.time_s, samples.input)
     limit_s = TUNING.most_share * samples.span_s
     lag_s = 0.0
     for _ in range(TUNING.first_rounds):
         few = min(max_modes, TUNING.first_modes)
-        first = fit_response(_at(samples, channel, lag_s), few, lowest_hz, input_sd)
+        first = fit_response(samples.late(channel, lag_s), few, lowest_hz, input_sd)
         if first is None:
             return None
         lag_s = most_likely_lag(first, channel, limit_s)
@@ -112,14 +119,9 @@ def _with_all_modes(
     samples: Samples, channel: Channel, lag_s: float, options: tuple[int, float, float]
 ) -> ResponseFit | None:
     """Modes searched at one lag, then iterated with it."""
-    fixed = fit_response(_at(samples, channel, lag_s), *options)
-    late = replace(samples, channel=channel).with_lag(lag_s)
+    late = samples.late(channel, lag_s, most_iterated_s(samples))
+    fixed = fit_response(replace(late, channel=None), *options)
     return None if fixed is None else with_free_lag(replace(fixed, samples=late), options[2])
-
-
-def _at(samples: Samples, channel: Channel, lag_s: float) -> Samples:
-    """The samples with an input of a lag that is not to be iterated."""
-    return replace(replace(samples, channel=channel).with_lag(lag_s), channel=None) if lag_s else samples
 
 
 def _lag_of_fewer_modes(found: ResponseFit, channel: Channel, limit_s: float) -> float | None:
@@ -230,7 +232,7 @@ def better_lag(found: ResponseFit) -> float | None:
     Both with the outputs counted alike at all frequencies and with the weights of the fit: each alone is misled, by a
     strong line that is no mode, or by what a wrong lag left.
     """
-    channel = Channel.through(found.samples.time_s, found.samples.input, found.samples.given)
+    channel = Channel.through(found.samples.time_s, found.samples.input)
     late_s = most_likely_lag(found, channel, TUNING.most_share * found.samples.span_s)
     none = replace(found.samples, channel=channel)
     late = none.with_lag(late_s)
