@@ -41,7 +41,7 @@ def test_a_pair_that_does_not_beat_is_flagged(second_hz, duration_s):
     assert any("UNRESOLVED" in mode.flags for mode in found.modes), [mode.flags for mode in found.modes]
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_amplitude_dependent_damping_is_not_a_pair(seed):
     t = np.arange(5000) / 500
     omega, zeta0, zeta1 = 2 * np.pi * 12.3, 0.002, 0.003
@@ -98,9 +98,9 @@ def test_pairs_whose_half_power_bands_do_not_overlap_are_two_modes(apart, zeta, 
 @pytest.mark.parametrize(
     ("apart", "zeta", "beats"),
     [
-        (0.005, 0.003, 50),
+        pytest.param(0.005, 0.003, 50, marks=pytest.mark.slow),
         pytest.param(0.005, 0.01, 50, marks=pytest.mark.slow),
-        pytest.param(0.01, 0.01, 5, marks=pytest.mark.slow),
+        (0.01, 0.01, 5),
         pytest.param(0.02, 0.01, 50, marks=pytest.mark.slow),
     ],
 )

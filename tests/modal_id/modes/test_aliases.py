@@ -162,7 +162,7 @@ FORKS = {
 
 
 @pytest.mark.skipif(not REALDATA.is_dir(), reason=REALDATA_ABSENT)
-@pytest.mark.parametrize("frames", [400, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("frames", [250, pytest.param(4000, marks=pytest.mark.slow)])
 def test_forks_at_three_rates_are_at_127_9_hz(frames, tmp_path):
     """Two films of one fork, the faster one also with each second frame: 127.9 Hz by least squares at 1000 fps."""
     found = {}

@@ -22,12 +22,12 @@ def checks(values, time_s, max_modes=1):
 def test_p_values_are_uniform_where_the_model_is_true():
     found = [
         checks(one_mode(2, seed, fps=500.0, duration_s=2.0)[0].values[:, 0], np.arange(1000) / 500.0)[0]
-        for seed in range(12)
+        for seed in range(8)
     ]
     p = np.array([[one.p_value for one in row] for row in found])
-    assert np.count_nonzero(p <= 0.01) <= 4, "binomial(60, 0.01) exceeds 4 with probability 4e-4"
-    assert 0.35 < np.mean(p) < 0.65, (
-        "the mean of 60 uniform values has sd 0.037; dependence within a record doubles it"
+    assert np.count_nonzero(p <= 0.01) <= 3, "binomial(40, 0.01) exceeds 3 with probability 7e-4"
+    assert 0.32 < np.mean(p) < 0.68, (
+        "the mean of 40 uniform values has sd 0.046; dependence within a record doubles it"
     )
 
 

@@ -73,7 +73,7 @@ def excited_during_decay(seed):
     return time_s, (decay + moved).real + 1e-3 * rng.standard_normal(time_s.size)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2))])
 def test_motion_that_is_no_free_decay_is_flagged_and_wide(seed):
     target = target_of(*excited_during_decay(seed))
     raised = {flag: target.severity_of(flag) for flag in target.flags}

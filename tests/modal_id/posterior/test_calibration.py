@@ -84,7 +84,7 @@ def cover(seeds, posterior):
 @pytest.mark.parametrize(
     ("seeds", "posterior"),
     [
-        (range(3), partial(integrated, modes=1)),
+        (range(2), partial(integrated, modes=1)),
         pytest.param(range(200, 280), sampled, marks=pytest.mark.slow),
     ],
     ids=["integrated", "sampled"],

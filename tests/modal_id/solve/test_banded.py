@@ -47,13 +47,13 @@ def peak_of(samples):
 
 
 def test_memory_is_linear_in_the_length_of_the_record():
-    """A thousand cycles have 800 splines: each of their matrices would take 5 MB if it were dense."""
-    peak_of(1000)
-    short, _ = peak_of(2000)
-    long, found = peak_of(10_000)
+    """750 cycles have 600 splines: each of their matrices would take 3 MB if it were dense."""
+    peak_of(500)
+    short, _ = peak_of(1500)
+    long, found = peak_of(7500)
     assert isinstance(found, Identification)
     assert found.modes[0].frequency_hz == pytest.approx(1.0, abs=5.0 * found.modes[0].frequency_sd_hz)
     assert long < 6.0 * short, (
-        f"{long / 1e6:.1f} MB for 10 000 samples and {short / 1e6:.1f} MB for 2000: expected five times as much, and a "
+        f"{long / 1e6:.1f} MB for 7500 samples and {short / 1e6:.1f} MB for 1500: expected five times as much, and a "
         "fifth more for blocks of fixed size"
     )

@@ -23,7 +23,7 @@ DOT_MM, MM_PER_PX, EXPOSURE_S = 12.0, 2.0, 5e-4
 STOPPED_S = 0.06
 
 
-def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
+def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed, positions_mm=POSITIONS_MM):
     """A rendered decay of mode 1 with tip amplitude `tip_m` (linear theory), tracked and identified."""
     properties = sample_beam()
     dot = DotMarker(diameter_mm=DOT_MM, foreground=35.0, background=190.0, quiet_zone_mm=3.0)
@@ -34,8 +34,8 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
         Optics(
             fps=Fraction(fps), mm_per_px=MM_PER_PX, exposure_s=EXPOSURE_S, background=190.0, noise_gain=0.04
         ),
-        markers=(dot,) * POSITIONS_MM.size,
-        positions_m=1e-3 * POSITIONS_MM,
+        markers=(dot,) * positions_mm.size,
+        positions_m=1e-3 * positions_mm,
     )
     assert film, getattr(film, "reason", "")
     write_video(path, film.frames(np.random.default_rng(seed)), fps_container=Fraction(30), codec="ffv1")
@@ -45,7 +45,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
         exposure_s=EXPOSURE_S,
         kind="blob",
         size_mm=DOT_MM,
-        positions_mm=tuple(POSITIONS_MM),
+        positions_mm=tuple(positions_mm),
     )
     tracks = track(path, settings, recording=path.name)
     modes = beam_modes(AncfBeam(properties), 8)
@@ -54,7 +54,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
         IdentifySettings(
             mode=1,
             expected_frequencies_hz=tuple(modes.frequency_hz),
-            expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
+            expected_shapes=modes.transverse_at(1e-3 * positions_mm),
             onset_s=film.onset_s + STOPPED_S,
             sampler=QUICK,
         ),
@@ -86,7 +86,10 @@ def compared(found, drag_coefficient=None):
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory):
     path = tmp_path_factory.mktemp("identified") / "air.avi"
-    return identified_film(path, drag_coefficient=2.0, tip_m=0.17, fps=60, decay_s=2.4, seed=1)
+    # Three dots determine the amplitude of one mode.
+    return identified_film(
+        path, drag_coefficient=2.0, tip_m=0.17, fps=60, decay_s=2.0, seed=1, positions_mm=POSITIONS_MM[1::2]
+    )
 
 
 def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(identified):

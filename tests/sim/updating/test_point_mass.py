@@ -69,7 +69,7 @@ def search(seed, prior, elements, at_m=None):
     return find_point_mass(paper_beam("hanging", 20), measured(beam, rng, at_m=at_m), prior=prior, seed=seed)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_place_and_mass_are_found(seed):
     found = search(seed, UNIFORM, 60)
     assert found.credibility(PLACE_M, MASS_KG) < 0.9
