@@ -43,6 +43,20 @@ def test_the_oldest_dependencies_are_those_that_pyproject_states():
             )
 
 
+def test_messages_name_packages_that_an_extra_installs():
+    """Those of an index: modalcam itself is on none."""
+    extras = PROJECT["project"]["optional-dependencies"].values()
+    known = {re.split(r"[\[>=]", text)[0] for extra in extras for text in extra} - {"modalcam"}
+    sources = [
+        path for name in ("tracker", "modal_id", "sim", "modalcam") for path in (ROOT / name).rglob("*.py")
+    ]
+    messages = [
+        re.findall(r"pip install ([\w .\[\]'-]+)", path.read_text(encoding="utf-8")) for path in sources
+    ]
+    named = {name for found in messages for text in found for name in text.split()}
+    assert {"pyuff", "nicegui", "tomlkit"} <= named <= known, f"in no extra: {sorted(named - known)}"
+
+
 def test_fragments_have_a_type_that_towncrier_knows():
     types = "|".join(entry["directory"] for entry in PROJECT["tool"]["towncrier"]["type"])
     names = [path.name for path in (ROOT / "changes").iterdir() if path.name != "README.md"]

@@ -23,7 +23,7 @@ def read_hdf5(path: Path) -> tuple[pd.DataFrame, list[str]]:
     try:
         import h5py  # noqa: PLC0415 - optional
     except ImportError:
-        msg = 'a file in HDF5, which needs h5py; install it with pip install "modalcam[netcdf]"'
+        msg = "a file in HDF5, which needs h5py; install it with pip install h5py"
         raise ValueError(msg) from None
     nodes: dict[str, Any] = {}
     columns: dict[str, np.ndarray] = {}

@@ -59,7 +59,7 @@ def _channels(path: Path) -> tuple[list[tuple[Any, np.ndarray]], list[str]]:
         from nptdms import TdmsFile  # noqa: PLC0415 - optional
         from nptdms.log import log_manager  # noqa: PLC0415
     except ImportError:
-        msg = 'a TDMS file, which needs nptdms; install it with pip install "modalcam[tdms]"'
+        msg = "a TDMS file, which needs nptdms; install it with pip install nptdms"
         raise ValueError(msg) from None
     said = io.StringIO()
     printed = log_manager.console_handler.setStream(said)

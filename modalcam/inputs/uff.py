@@ -58,7 +58,7 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
     try:
         import pyuff  # noqa: PLC0415 - optional
     except ImportError:
-        msg = f'{where}: reading a universal file needs pyuff; install it with pip install "modalcam[uff]"'
+        msg = f"{where}: reading a universal file needs pyuff; install it with pip install pyuff"
         raise InputError(msg) from None
     readable_bytes(path, MAX_BYTES)
     try:

@@ -18,7 +18,7 @@ def read_xlsx(path: Path) -> tuple[pd.DataFrame, list[str]]:
             warnings.simplefilter("ignore", UserWarning)
             table = pd.read_excel(path, engine="openpyxl")
     except ImportError:
-        msg = 'a workbook, which needs openpyxl; install it with pip install "modalcam[xlsx]"'
+        msg = "a workbook, which needs openpyxl; install it with pip install openpyxl"
         raise ValueError(msg) from None
     except Exception as error:
         msg = f"no readable workbook ({error})"

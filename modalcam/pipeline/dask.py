@@ -79,7 +79,7 @@ def cluster_pool(
         import dask  # noqa: PLC0415 - an optional extra
         from distributed import Client, KilledWorker  # noqa: PLC0415
     except ImportError as error:
-        msg = "--scheduler needs dask.distributed: pip install 'modalcam[cluster]'"
+        msg = "--scheduler needs dask.distributed: pip install distributed"
         raise InputError(msg) from error
     # A recording's tracks are sent with its task; Dask would warn about the size of each.
     settings = {"distributed.admin.large-graph-warning-threshold": "1 TB"}

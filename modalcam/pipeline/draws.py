@@ -113,7 +113,7 @@ def data_tree(recordings: Iterable[RecordingResult]) -> xarray.DataTree:
     try:
         import xarray as xr  # noqa: PLC0415 - optional
     except ImportError as error:
-        msg = 'to_xarray needs xarray; install it with pip install "modalcam[xarray]"'
+        msg = "to_xarray needs xarray; install it with pip install xarray"
         raise ImportError(msg) from error
     nodes = {}
     for recording in recordings:

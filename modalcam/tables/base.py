@@ -36,8 +36,8 @@ class Writer:
         Content of a file, for docs/files.md.
     outputs : callable
         Of workspace, result of the run and configuration: the files to write.
-    libraries, extra : tuple of str, str
-        Optional modules that the format needs, and the extra of modalcam that installs them.
+    libraries : tuple of str
+        Optional modules that the format needs, which are named as their packages are.
     """
 
     name: str
@@ -45,7 +45,6 @@ class Writer:
     description: str
     outputs: Callable[[Workspace, RunResult, ExperimentConfig], Iterable[Output]]
     libraries: tuple[str, ...] = ()
-    extra: str = ""
 
     @property
     def missing(self) -> str:
@@ -55,5 +54,5 @@ class Writer:
             return ""
         return (
             f"{self.files} was not written: {' and '.join(absent)} not installed; "
-            f'install with pip install "modalcam[{self.extra}]".'
+            f"install with pip install {' '.join(absent)}."
         )

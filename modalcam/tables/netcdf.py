@@ -72,5 +72,4 @@ POSTERIOR = Writer(
     "number of the beam's mode if all modes have one, otherwise the rank by frequency",
     _outputs,
     libraries=("h5netcdf",),
-    extra="netcdf",
 )

@@ -249,5 +249,4 @@ UNIVERSAL = Writer(
     "with a measured input, the responses (dataset 58, function type 4 for a force, 5 for a base)",
     _outputs,
     libraries=("pyuff",),
-    extra="uff",
 )

@@ -136,7 +136,7 @@ class TiffSource:
             raise unreadable(
                 self._path,
                 f"its first image cannot be read (compression {compression}: {error}); save it without compression, or "
-                'install the codecs: pip install "modalcam[tiff]"',
+                "install the codecs: pip install imagecodecs",
             ) from error
         return page
 

@@ -73,7 +73,7 @@ def _check_installed() -> None:
         import nicegui  # noqa: F401 - whether it can be imported
         import tomlkit  # noqa: F401
     except ImportError as error:
-        msg = f"the studio needs the package {error.name}; install it with `pip install 'modalcam[studio]'`"
+        msg = f"the studio needs the package {error.name}; install it with pip install nicegui tomlkit"
         raise ModalcamError(msg) from None
 
 

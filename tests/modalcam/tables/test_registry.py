@@ -134,8 +134,7 @@ def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, w
     assert (tmp_path / "posterior" / "take.nc").exists()
     (note,) = with_missing_formats(result).not_done
     assert note == (
-        "universal/<recording>.uff was not written: pyuff not installed; "
-        'install with pip install "modalcam[uff]".'
+        "universal/<recording>.uff was not written: pyuff not installed; install with pip install pyuff."
     )
 
 
@@ -148,7 +147,7 @@ def test_reading_a_universal_file_names_the_missing_library(tmp_path, monkeypatc
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match=r"modalcam\[uff\]"):
+    with pytest.raises(InputError, match="pip install pyuff"):
         read_uff(tmp_path / "a.uff", name="a", unit="1")
 
 
