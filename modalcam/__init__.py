@@ -87,7 +87,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_with_apps()})
+    return sorted({*__all__, *_with_apps(), "__all__", "__doc__", "__version__"})
 
 
 def _with_apps() -> dict[str, tuple[str, str]]:

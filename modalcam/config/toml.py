@@ -31,11 +31,12 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def load_config(path: Path) -> ExperimentConfig:
-    """Configuration from a TOML file, with the content of the lens files that it names.
+    """Configuration from a TOML file, or from experiment.toml in a folder, with the content of its lens files.
 
     ConfigError if a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names
     file and key, and says what to write instead.
     """
+    path = path / CONFIG_NAME if path.is_dir() else path
     return config_of_text(config_text(path), path)
 
 

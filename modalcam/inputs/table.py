@@ -13,6 +13,7 @@ from modalcam.common import InputError, readable_bytes, shown
 from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
 from modalcam.inputs.text_table import read_text
 from modalcam.inputs.time_axis import samples_by_channels
+from tracker.video import recording_suffixes
 
 MAX_BYTES = 2_000_000_000
 TIME = "time_s"
@@ -62,19 +63,21 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
         The file cannot be read as its ending says, or has no times and no rate is given, or has times and a rate.
     """
     readable_bytes(path, MAX_BYTES)
-    where = shown(str(path))
+    where, suffix = shown(str(path)), path.suffix.lower()
+    if suffix in set(recording_suffixes()) - set(TABLE_READERS):
+        msg = f"{where}: expected a series of samples, found a recording: give it to modalcam run"
+        raise InputError(msg)
     try:
-        columns, notes = TABLE_READERS.get(path.suffix.lower(), read_text)(path)
-        unit = str(columns.attrs.get("unit", ""))
-        return replace(_with_times(*_upright(columns, notes), rate_hz, where), unit=unit)
+        columns, notes = TABLE_READERS.get(suffix, read_text)(path)
+        table = _with_times(*_upright(columns, notes), rate_hz, where)
+        return replace(table, unit=str(columns.attrs.get("unit", "")))
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
         raise InputError(msg) from error
     except UnicodeDecodeError as error:
-        endings = ", ".join((*TABLE_READERS, *UFF_ENDINGS))
         msg = (
-            f"{where}: expected text in UTF-8, or a file ending in one of {endings}; found other bytes. Export the "
-            "series as CSV in UTF-8, or register a reader of this ending in a plugin (register_table_reader)"
+            f"{where}: expected text in UTF-8, or a file ending in one of {', '.join((*TABLE_READERS, *UFF_ENDINGS))}; "
+            "found other bytes. Export the series as CSV in UTF-8, or register a reader (register_table_reader)"
         )
         raise InputError(msg) from error
     except (ValueError, pd.errors.ParserError) as error:

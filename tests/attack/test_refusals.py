@@ -39,7 +39,10 @@ REFUSED = [
         (f"{command} {source}", "expected a regular file")
         for command in ("check-config", "identify -o out")
         for source in ("pipe", "/dev/zero", ".")
+        if (command, source) != ("check-config", ".")
     ),
+    ("check-config empty", "experiment.toml: cannot be read"),
+    ("identify clip.avi -o out", "modalcam run"),
     *(
         ("check-config experiment.toml", "expected a regular file", f'[camera]\nlens = "{source}"\n')
         for source in ("pipe", "/dev/zero", "empty")

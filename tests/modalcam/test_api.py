@@ -77,6 +77,7 @@ def test_an_unknown_name_lists_the_public_ones():
     with pytest.raises(AttributeError, match="public names: track, displacement, identify"):
         _ = mc.trak
     assert {"track", "identify", "run"} <= set(dir(mc))
+    assert not {"Path", "Any", "importlib"} & set(dir(mc)), "completion shows what is public"
 
 
 def test_tracking_without_a_recording_raises_the_reason(tmp_path):

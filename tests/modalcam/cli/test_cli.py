@@ -118,6 +118,7 @@ def test_check_config_prints_the_resolved_configuration(modalcam, tmp_path):
     code, out, _ = modalcam("check-config", path)
     assert code == 0
     assert "fps = 500.0" in out
+    assert modalcam("check-config", tmp_path)[:2] == (0, out), "of a folder, its experiment.toml"
     path.write_text("[camera]\nfpss = 500\n")
     code, _, err = modalcam("check-config", path)
     assert code == 2
