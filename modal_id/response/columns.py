@@ -360,11 +360,9 @@ class Samples:
 
     def with_lag(self, lag_s: float) -> Samples:
         """The same with the input of another lag."""
-        return (
-            self
-            if self.channel is None
-            else replace(self, input=self.channel.at(self.time_s, lag_s), lag_s=lag_s)
-        )
+        if self.channel is None:
+            return self
+        return replace(self, input=self.channel.at(self.time_s, lag_s), lag_s=lag_s)
 
     def late(self, channel: Channel, lag_s: float, reach_s: float = 0.0) -> Samples:
         """The rows at which the input of all lags within `reach_s` of one was recorded; without reach, of a fixed lag.
