@@ -79,6 +79,12 @@ class ModeFlag(Enum):
         "The measured input explains the motion better when it is shifted in time: input and outputs do not share a "
         "clock, or a sensor delays one of them. Frequency and damping ratio may be wrong."
     )
+    INPUT_INCOMPLETE = (
+        "What the fit leaves follows the measured input as more modes would, which the record does not determine: "
+        "modes are missing, the input holds frequencies above half the sampling rate, something else drives the "
+        "structure in step with it, or the motion is not linear. The standard deviations are those if all that is left "
+        "near the mode is such a response, and not noise."
+    )
 
     @property
     def usual_severity(self) -> Severity:
@@ -90,11 +96,13 @@ class ModeFlag(Enum):
 SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
 RATE_CONVERTED_NOTE = "Frames fit a converted rate"
 INPUT_LATE_NOTE = "The outputs follow"
+INPUT_INCOMPLETE_NOTE = "What the fit leaves near"
 QUOTED = {
     ModeFlag.MAY_BE_DRIVEN: ModeFlag.MAY_BE_DRIVEN.value,
     ModeFlag.SHAPE_DISAGREES: SHAPE_DISAGREES_NOTE,
     ModeFlag.RATE_CONVERTED: RATE_CONVERTED_NOTE,
     ModeFlag.INPUT_LATE: INPUT_LATE_NOTE,
+    ModeFlag.INPUT_INCOMPLETE: INPUT_INCOMPLETE_NOTE,
 }
 
 
@@ -115,6 +123,7 @@ _USUAL = {
     ModeFlag.RATE_CONVERTED: Severity.WRONG,
     ModeFlag.INPUT_LATE: Severity.WRONG,
     ModeFlag.NOT_CONFIRMED: Severity.WRONG,
+    ModeFlag.INPUT_INCOMPLETE: Severity.INTERVAL,
     ModeFlag.AMPLITUDE_DEPENDENT: Severity.INTERVAL,
     ModeFlag.FEW_CYCLES_LOST: Severity.INTERVAL,
     ModeFlag.MANY_OUTLIERS: Severity.INTERVAL,

@@ -285,7 +285,7 @@ def significant(found: ResponseFit, penalty: float) -> BoolArray:
     return kept
 
 
-def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float]:
+def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float, float]:
     """Power of the residual about the resonance of a mode over two expectations.
 
     Returns
@@ -296,6 +296,9 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float]:
     over_beside : float
         Over the noise of the outputs on both sides, beyond the average that contains the mode, with the response to the
         noise of the input added.
+    freedom : float
+        Degrees of freedom of the residual there. If it is no noise but a response that is missing in the fit, of the
+        same power, it moves the mode by up to the root of this many standard deviations (Cauchy-Schwarz inequality).
     """
     samples, pole = found.samples, found.poles[index]
     size = samples.frequency_hz.size
@@ -315,7 +318,7 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float]:
     # Outputs may have their noise in common: as many degrees of freedom as one of them has.
     freedom = float(np.sum(np.mean(free, axis=1)))
     is_noise = power < chi2.isf(TUNING.false_alarm, freedom) / freedom
-    return 1.0 if is_noise else power, over_beside
+    return 1.0 if is_noise else power, over_beside, freedom
 
 
 def model_bands(

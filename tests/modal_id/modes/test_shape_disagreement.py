@@ -54,6 +54,13 @@ def test_a_clamp_at_the_wrong_end_is_named(mode, markers):
     )
 
 
+def test_a_clamp_at_the_wrong_end_is_named_where_both_shapes_are_alike():
+    at = np.array([0.07, 0.17, 0.20, 0.23, 0.34, 0.43])
+    (only,) = found(at, 3, 1, believed_m=LENGTH_M - at)
+    assert only.mac > 0.8, "two shapes of one mode may have a MAC as low"
+    assert "with the clamp at the other end 1." in " ".join(only.notes)
+
+
 def test_positions_in_reverse_are_named():
     at = np.array([0.06, 0.17, 0.29, 0.41])
     (only,) = found(at, 4, 1, believed_m=at[::-1])
