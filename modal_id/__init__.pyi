@@ -13,6 +13,7 @@ from .identify import identify as identify
 from .identify import identify_free_decay as identify_free_decay
 from .mode_values import RESPONSE_COLUMNS as RESPONSE_COLUMNS
 from .mode_values import FrequencyResponse as FrequencyResponse
+from .mode_values import axes_or_new as axes_or_new
 from .record import FittingRate as FittingRate
 from .record import Onset as Onset
 from .record import Segment as Segment

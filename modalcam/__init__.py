@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from modalcam.api import run as run
     from modalcam.api import track as track
     from modalcam.common import IdentificationError as IdentificationError
+    from modalcam.common import InputError as InputError
     from modalcam.common import TrackingError as TrackingError
     from modalcam.pipeline import load_run as load_run
     from sim.beam import Beam as Beam
@@ -39,6 +40,7 @@ __all__ = [
     "Beam",
     "GenericDamping",
     "IdentificationError",
+    "InputError",
     "RayleighDamping",
     "SimulationError",
     "TrackingError",
@@ -70,6 +72,7 @@ _SOURCES = {
     "load_run": ("modalcam.pipeline.saved", "load_run"),
     "TrackingError": ("modalcam.common", "TrackingError"),
     "IdentificationError": ("modalcam.common", "IdentificationError"),
+    "InputError": ("modalcam.common", "InputError"),
     "SimulationError": ("sim.dynamics.excitation", "SimulationError"),
 }
 

@@ -84,12 +84,12 @@ def verify(
 
 
 def info() -> None:
-    """Print versions, processor and BLAS, for a bug report."""
-    import os
+    """Print versions, system, processor and BLAS, for a bug report."""
+    import platform
 
     from modalcam.pipeline import opencv_wheels, processor, versions
 
-    for name, version in (*versions(), *processor()):
+    for name, version in (*versions(), ("system", platform.platform()), *processor()):
         typer.echo(f"{name} {version}")
     typer.echo(f"processors {os.cpu_count()}")
     wheels = opencv_wheels()
@@ -131,12 +131,17 @@ def _main(
     pass
 
 
-for _command in (run, track, identify, simulate, report, figures, verify, init, probe, check_config, info):
+for _command in (run, track, identify, simulate, report):
+    register_command(_command, "Commands")
+for _command in (init, probe, check_config):
+    register_command(_command, "Before a run")
+for _command in (figures, verify):
     register_command(_command)
+register_command(info, "Without recordings")
 load_apps("cli")
 load_entry_points("modalcam.commands")
-for _name, _function in COMMANDS.items():
-    app.command(_name, cls=Command)(_function)
+for _name, (_function, _heading) in COMMANDS.items():
+    app.command(_name, cls=Command, rich_help_panel=_heading)(_function)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -14,17 +14,19 @@ from modalcam.cli.options import CONFIG_HELP
 from modalcam.common import ExitCode, InputError
 from modalcam.pipeline import low_memory_limits
 
-# By name, in the order of --help.
-COMMANDS: dict[str, Callable[..., None]] = {}
+# Headings in the help of the program, in its order.
+Heading = Literal["Commands", "Before a run", "Results of a run", "Without recordings"]
+# Function and heading by name, in the order of --help.
+COMMANDS: dict[str, tuple[Callable[..., None], Heading]] = {}
 
 
-def register_command(function: Callable[..., None]) -> None:
+def register_command(function: Callable[..., None], heading: Heading = "Results of a run") -> None:
     """Add a command: a function as typer takes it, whose name and docstring are those of the command.
 
     ``check_config`` becomes ``check-config``. The name must be new; ValueError otherwise.
     """
     name = function.__name__.replace("_", "-")
-    if COMMANDS.setdefault(name, function) is not function:
+    if COMMANDS.setdefault(name, (function, heading))[0] is not function:
         msg = f"a command named {name!r} is registered already; choose another name"
         raise ValueError(msg)
 

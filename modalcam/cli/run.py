@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,17 +25,30 @@ from modalcam.cli.options import (
     run_options,
     takes,
 )
-from modalcam.common import ModalcamError, check_new, readable_bytes
+from modalcam.common import ModalcamError, check_new, readable_bytes, shown
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
 
-Target = Annotated[
-    Path,
+Targets = Annotated[
+    list[Path],
     typer.Argument(
-        metavar="FILE|FOLDER", help="Recording, or folder of recordings, with or without experiment.toml."
+        metavar="FILE...|FOLDER", help="Recordings of one folder, or it, with or without experiment.toml."
     ),
 ]
+
+
+def _together(targets: list[Path], common: dict[str, Any]) -> Path:
+    """The recording or folder; several recordings are their folder, of which they alone are wanted."""
+    folder = targets[0].parent
+    if len(targets) == 1:
+        return targets[0]
+    for target in targets:
+        if target.parent != folder or not target.is_file():
+            msg = f"{shown(str(target))}: not a recording of the folder {folder}; give recordings of one folder, or it"
+            raise ModalcamError(msg)
+    common["include"] = [*(common["include"] or ()), *(glob.escape(target.name) for target in targets)]
+    return folder
 
 
 ForExcitation = Annotated[
@@ -45,7 +59,7 @@ ForExcitation = Annotated[
 
 @takes(*PIPELINE, *SELECTION)
 def run(
-    target: Target,
+    targets: Targets,
     common: dict[str, Any],
     out: NamedOut = None,
     json_: Json = False,
@@ -58,6 +72,7 @@ def run(
     """Track, identify, simulate and report a recording or a folder."""
     from modalcam import commands
 
+    target = _together(targets, common)
     options = run_options(out or results_folder(target), excitation=excitation, **common)
     command = partial(commands.run, target)
     compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict, progress=progress)
@@ -76,7 +91,7 @@ def run(
     *SELECTION,
 )
 def track(
-    target: Target,
+    targets: Targets,
     common: dict[str, Any],
     out: NamedOut = None,
     preview: Annotated[
@@ -92,6 +107,7 @@ def track(
     from modalcam.tables import check_preview, write_preview
     from tracker import MarkerTracks
 
+    target = _together(targets, common)
     out = out or results_folder(target)
     if preview is not None:
         check_preview(preview, target, out)

@@ -15,6 +15,7 @@ from modalcam.common import csv_safe, shown
 if TYPE_CHECKING:
     import pandas as pd
     import xarray
+    from matplotlib.axes import Axes
 
     from modal_id import Identification
     from sim.beam import BeamModes, BeamProperties
@@ -163,6 +164,31 @@ class RunResult:
         for key, value in self.__dict__["_load"]().items():
             object.__setattr__(self, key, value)
         return self.__dict__[name]
+
+    def __getitem__(self, name: str) -> RecordingResult:
+        """The recording of this name; KeyError, with the names there are, without one."""
+        for recording in self.recordings:
+            if recording.name == name:
+                return recording
+        msg = f"{name}: no recording of that name; there are {', '.join(one.name for one in self.recordings)}"
+        raise KeyError(msg)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Damping ratios over the frequencies of the modes with 90 % intervals, a colour for each recording."""
+        import numpy as np  # noqa: PLC0415 - loaded when used
+
+        from modal_id import axes_or_new  # noqa: PLC0415 - loaded when used
+
+        axes = axes_or_new(ax)
+        for recording in self.recordings:
+            modes = () if recording.identified is None else recording.identified.modes
+            at_hz = [mode.frequency_hz for mode in modes]
+            (points,) = axes.plot(at_hz, [mode.damping_ratio for mode in modes], "o", label=recording.name)
+            bounds = np.array([mode.damping_interval() for mode in modes]).reshape(-1, 2)
+            axes.vlines(at_hz, *bounds.T, color=points.get_color())
+        axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio", xscale="log", yscale="log")
+        axes.legend()
+        return axes
 
     def to_dataframe(self) -> pd.DataFrame:
         """Identified modes of all recordings with the columns of `modes.csv`, one row for each mode."""

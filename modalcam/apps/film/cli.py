@@ -154,6 +154,6 @@ def preview(
     typer.echo(f"{out}: motion x {made.factor:g}")
 
 
-register_command(demo)
-register_command(render)
+register_command(demo, "Without recordings")
+register_command(render, "Without recordings")
 register_command(preview)

@@ -49,4 +49,4 @@ def plan(
         typer.echo(str(out))
 
 
-register_command(plan)
+register_command(plan, "Before a run")

@@ -77,5 +77,5 @@ def _check_installed() -> None:
         raise ModalcamError(msg) from None
 
 
-register_command(studio)
-register_command(pick)
+register_command(studio, "Before a run")
+register_command(pick, "Before a run")

@@ -81,5 +81,5 @@ def calibrate(
         typer.echo(line)
 
 
-register_command(markers)
-register_command(calibrate)
+register_command(markers, "Before a run")
+register_command(calibrate, "Before a run")

@@ -50,7 +50,9 @@ def test_help_and_version(modalcam):
     code, out, _ = modalcam("-h")
     assert code == 0
     assert all(command in out for command in COMMANDS)
-    assert len(out.splitlines()) <= 40
+    headings = [line.split(maxsplit=1)[1].rstrip("─╮ ") for line in out.splitlines() if line[:1] == "╭"]
+    assert headings == ["Options", "Commands", "Before a run", "Results of a run", "Without recordings"]
+    assert len(out.splitlines()) <= 48
     assert modalcam("--version")[1].startswith("modalcam ")
 
 
@@ -270,6 +272,19 @@ def test_run_of_one_file_leaves_the_others_of_its_folder_alone(modalcam, tmp_pat
     code, _, err = modalcam("run", tmp_path, "-o", tmp_path / "out")
     assert code == ExitCode.USAGE
     assert "b.avi" in err
+
+
+def test_several_recordings_of_a_folder_are_run_together(modalcam, tmp_path):
+    for name in ("a.avi", "b[1].avi", "c.avi", "elsewhere/d.avi"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("no video")
+    two = [tmp_path / name for name in ("a.avi", "b[1].avi")]
+    assert modalcam("run", *two, "-o", tmp_path / "out")[0] == ExitCode.NO_INPUT
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [recording["file"] for recording in summary["recordings"]] == ["a.avi", "b[1].avi"]
+    code, _, err = modalcam("run", two[0], tmp_path / "elsewhere" / "d.avi")
+    assert code == ExitCode.USAGE
+    assert "d.avi: not a recording of the folder" in err
 
 
 def test_verify_names_what_has_changed_since_the_run(modalcam, decay_run, tmp_path):

@@ -1,0 +1,24 @@
+"""The result of a run in Python: its recordings by name, and its figure."""
+
+import pytest
+from kit.runs import paper_recordings, run_result
+
+
+def test_recordings_are_found_by_name():
+    result = run_result(paper_recordings(2))
+    first, second = result.recordings
+    assert result[second.name] is second
+    with pytest.raises(KeyError, match=f"no recording of that name; there are {first.name}, {second.name}"):
+        result["other"]
+
+
+def test_the_figure_shows_each_mode_with_its_interval():
+    result = run_result(paper_recordings(2))
+    axes = result.plot()
+    assert [line.get_label() for line in axes.lines] == [recording.name for recording in result.recordings]
+    for recording, line, bars in zip(result.recordings, axes.lines, axes.collections, strict=True):
+        modes = recording.identified.modes
+        assert list(line.get_xdata()) == [mode.frequency_hz for mode in modes]
+        assert [tuple(bar[:, 1]) for bar in bars.get_segments()] == [
+            mode.damping_interval() for mode in modes
+        ]
