@@ -354,6 +354,7 @@ class UpdatingConfig(Options):
         default=False,
         description="Look for one point mass that [beam] lacks; the narrower the prior (bound), the fewer its places.",
     )
+    clamp: bool = Field(default=False, description="Look for the stiffnesses of an elastic clamp.")
 
 
 class PlanConfig(Options):

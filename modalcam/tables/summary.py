@@ -176,6 +176,17 @@ def _updating(updated: Updating) -> dict[str, Any]:
             "regions_90": updated.point_mass.regions(),
             "log_odds": updated.point_mass.log_odds,
         },
+        "clamp": updated.clamp
+        and {
+            **_fields(updated.clamp, "most_probable log_odds effective_draws"),
+            **dict(
+                zip(
+                    ("translation_interval_90_n_m", "rotation_interval_90_n_m_rad"),
+                    updated.clamp.interval(),
+                    strict=True,
+                )
+            ),
+        },
         "evidence": [
             {
                 "model": model.name,

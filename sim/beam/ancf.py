@@ -278,7 +278,12 @@ class AncfBeam:
         return ElasticState(force, tangent, axial, float(energy))
 
     def second_variation(
-        self, q: FloatArray, v: FloatArray, bend: FloatArray | None = None, axial: FloatArray | None = None
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        bend: FloatArray | None = None,
+        axial: FloatArray | None = None,
+        grip: FloatArray | float = 1.0,
     ) -> FloatArray:
         """``v^T K(q) v`` as a sum over the strains and curvatures of the elements, shape (..., f).
 
@@ -291,6 +296,8 @@ class AncfBeam:
             States and motions over all coordinates, those of the clamp first; NaN where `q` is NaN.
         bend, axial : array, shape (..., ne), optional
             EI in N m2 and EA in N of the elements, for beams that differ from this one in them.
+        grip : array, shape (..., 2), optional
+            Factors on the stiffness of an elastic clamp against translation and rotation.
         """
         p = self.properties
         bend = p.elastic_modulus_pa * p.second_moment_m4 if bend is None else bend
@@ -306,9 +313,9 @@ class AncfBeam:
         bending = 0.5 * self.element_length_m * np.sum(curve**2, axis=(-2, -1))
         energy = np.sum(stretch * axial[..., np.newaxis, :] + bending * bend[..., np.newaxis, :], axis=-1)
         energy = energy + p.tension_n * np.sum(square @ self.weight_m, axis=-1)
-        displacement, rotation = self.springs(axial)
+        springs = np.stack(np.broadcast_arrays(*self.springs(axial)), axis=-1) * grip
         root = np.sum(by_element[..., 0, :, :2] ** 2, axis=-2)
-        return np.asarray(energy + displacement[..., np.newaxis] * root[..., 0] + rotation * root[..., 1])
+        return np.asarray(energy + np.sum(springs[..., np.newaxis, :] * root, axis=-1))
 
     def elements(self, full: NDArray[Any]) -> NDArray[Any]:
         """Coordinates by element, direction and shape function, (..., 4 (ne + 1)) to (..., ne, 2, 4)."""

@@ -61,6 +61,11 @@ class ElasticClamp:
         if self.translation_n_m is not None:
             checked("translation_n_m of an elastic clamp", self.translation_n_m, positive=True)
 
+    def scaled(self, factors: FloatArray) -> ElasticClamp:
+        """A clamp of so many times the stiffness against translation, where it has its own, and rotation."""
+        across = None if self.translation_n_m is None else self.translation_n_m * float(factors[0])
+        return ElasticClamp(self.rotation_n_m_rad * float(factors[1]), across)
+
 
 @dataclass(frozen=True)
 class BeamProperties:
@@ -221,8 +226,12 @@ class BeamProperties:
         density: float = 1.0,
         elastic_modulus: float = 1.0,
         point_masses: float | FloatArray = 1.0,
+        clamp: FloatArray | None = None,
     ) -> BeamProperties:
-        """The beam with its properties multiplied by factors: one, or one per element or point mass."""
+        """The beam with its properties multiplied by factors: one, or one per element or point mass.
+
+        `clamp` has those of the clamp's translational and rotational stiffness, of which both must be given.
+        """
         factors = np.broadcast_to(point_masses, len(self.point_masses))
         return replace(
             self,
@@ -231,6 +240,7 @@ class BeamProperties:
             density_kg_m3=self.density_kg_m3 * density,
             elastic_modulus_pa=self.elastic_modulus_pa * elastic_modulus,
             point_masses=tuple(p.scaled(float(f)) for p, f in zip(self.point_masses, factors, strict=True)),
+            clamp=self.clamp if clamp is None or self.clamp is None else self.clamp.scaled(clamp),
         )
 
 

@@ -2,6 +2,8 @@ from .bayesian import BayesianUpdate as BayesianUpdate
 from .bayesian import UndecidedError as UndecidedError
 from .bayesian import update_bayesian as update_bayesian
 from .bayesian import whiten as whiten
+from .elastic_clamp import ClampPosterior as ClampPosterior
+from .elastic_clamp import find_clamp as find_clamp
 from .evidence import ModelComparison as ModelComparison
 from .evidence import ModelEvidence as ModelEvidence
 from .evidence import compare_models as compare_models

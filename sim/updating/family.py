@@ -70,34 +70,38 @@ class FamilyModes:
 class BeamFamily:
     """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`.
 
-    The last `bodies` of the standard beam's point masses have a factor each, on mass and rotary inertia.
+    The last `bodies` of the standard beam's point masses have a factor each, on mass and rotary inertia, and an unknown
+    elastic `clamp` two, on its stiffness against translation and rotation.
     """
 
     standard: BeamProperties
     count: int
     points: tuple[MeasuredShape, ...] = ()
     bodies: int = 0
+    clamp: bool = False
 
     @cached_property
     def _matrices(self) -> BeamMatrices:
-        return BeamMatrices(self.standard, self.bodies)
+        return BeamMatrices(self.standard, self.bodies, self.clamp)
 
     @property
     def variables(self) -> int:
-        """Number of variables, widths, thicknesses, density, modulus, unknown point masses: 2 ne + 2 + b."""
-        return 2 * self.standard.elements + 2 + self.bodies
+        """Number of variables: widths, thicknesses, density, modulus, unknown point masses, and of an unknown clamp."""
+        return 2 * self.standard.elements + 2 + self.bodies + 2 * self.clamp
 
     def properties(self, log_factor: FloatArray) -> BeamProperties:
         """The beam of one set of factors, shape (v,)."""
         ne = self.standard.elements
         factor = np.exp(log_factor)
-        masses = np.append(np.ones(len(self.standard.point_masses) - self.bodies), factor[2 * ne + 2 :])
+        masses = factor[2 * ne + 2 : 2 * ne + 2 + self.bodies]
+        known = np.ones(len(self.standard.point_masses) - self.bodies)
         return self.standard.scaled(
             width=factor[:ne],
             thickness=factor[ne : 2 * ne],
             density=float(factor[2 * ne]),
             elastic_modulus=float(factor[2 * ne + 1]),
-            point_masses=masses,
+            point_masses=np.append(known, masses),
+            clamp=factor[-2:] if self.clamp else None,
         )
 
     def modes(self, log_factor: FloatArray, *, slopes: bool = False) -> FamilyModes:
@@ -129,7 +133,7 @@ class BeamFamily:
         first = phi[:, :, bending]
         own = np.swapaxes(first, 1, 2)
         moved = self._matrices.full(own, self._matrices.modal)
-        known = self._matrices.beam.second_variation(state.q, moved, state.bend, state.axial)
+        known = self._matrices.beam.second_variation(state.q, moved, state.bend, state.axial, state.grip)
         known = np.where((square[:, bending] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
         readings = self._readings

@@ -93,9 +93,11 @@ class Misfit:
     measured: MeasuredModes
 
     @classmethod
-    def of(cls, properties: BeamProperties, measured: MeasuredModes, bodies: int = 0) -> Misfit:
-        """Misfit of the family of `properties`, whose last `bodies` point masses are unknown."""
-        return cls(BeamFamily(properties, measured.highest, measured.shapes, bodies), measured)
+    def of(
+        cls, properties: BeamProperties, measured: MeasuredModes, bodies: int = 0, *, clamp: bool = False
+    ) -> Misfit:
+        """Misfit of the family of `properties`, whose last `bodies` point masses, or `clamp`, are unknown."""
+        return cls(BeamFamily(properties, measured.highest, measured.shapes, bodies, clamp), measured)
 
     @cached_property
     def root(self) -> FloatArray:

@@ -40,6 +40,8 @@ class BeamStates:
         EI, EA and rho A of each element.
     body : array, shape (n, b)
         Factors of the unknown point masses.
+    grip : array, shape (n, 2)
+        Factors on the stiffness of the clamp against translation and rotation.
     q : array, shape (n, 4 (ne + 1))
         Equilibria; NaN where there is none.
     static_k : array, shape (n, c, c)
@@ -53,6 +55,7 @@ class BeamStates:
     axial: Array
     mass: Array
     body: Array
+    grip: Array
     q: Array
     static_k: Array
     modal_k: Array
@@ -62,10 +65,14 @@ class BeamStates:
 
 @dataclass(frozen=True)
 class BeamMatrices:
-    """Matrices of beams that differ from a standard one by factors; its last `bodies` point masses have one each."""
+    """Matrices of beams that differ from a standard one by factors.
+
+    Its last `bodies` point masses have one each, and an unknown `clamp` two.
+    """
 
     standard: BeamProperties
     bodies: int = 0
+    clamp: bool = False
 
     @cached_property
     def beam(self) -> AncfBeam:
@@ -121,18 +128,17 @@ class BeamMatrices:
         return out.take(self.free(self.modal), axis=1)
 
     @cached_property
-    def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrices of one direction that no factor changes: known masses, springs and tension, held translation."""
+    def known_kg(self) -> FloatArray:
+        """Inertia of the known point masses in one direction, which no factor changes."""
         p = self.standard
-        mass = self.beam.bodies_kg(p.point_masses[: len(p.point_masses) - self.bodies])
-        springs, held = self.beam.tensioned_n_m.copy(), np.zeros_like(mass)
-        if p.clamp is not None:
-            springs[1, 1] += p.clamp.rotation_n_m_rad
-            if p.clamp.translation_n_m is None:
-                held[0, 0] = ancf.TUNING.held_by / self.beam.element_length_m
-            else:
-                springs[0, 0] += p.clamp.translation_n_m
-        return mass, springs, held
+        return self.beam.bodies_kg(p.point_masses[: len(p.point_masses) - self.bodies])
+
+    @cached_property
+    def held_per_m(self) -> float:
+        """Stiffness of the clamp against translation over EA of the first element, where its own is not given."""
+        clamp = self.standard.clamp
+        free = clamp is None or clamp.translation_n_m is not None
+        return 0.0 if free else ancf.TUNING.held_by / self.beam.element_length_m
 
     @cached_property
     def body_kg(self) -> FloatArray:
@@ -168,10 +174,13 @@ class BeamMatrices:
         free = self.free(directions) // (3 - c)
         return np.asarray(out.take(free, axis=1).take(free, axis=2))
 
-    def springs(self, axial: Array) -> Array:
+    def springs(self, axial: Array, grip: Array) -> Array:
         """Stiffness of tension and elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
-        _, springs, held = self.constant
-        return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
+        displacement, rotation = self.beam.springs(axial)
+        out = np.repeat(self.beam.tensioned_n_m[np.newaxis].astype(axial.dtype), axial.shape[0], axis=0)
+        out[:, 0, 0] += displacement * grip[:, 0]
+        out[:, 1, 1] += rotation * grip[:, 1]
+        return out
 
     @cached_property
     def _products(self) -> FloatArray:
@@ -180,7 +189,14 @@ class BeamMatrices:
         return np.asarray(products.reshape(-1, 16))
 
     def _stiffness(
-        self, bend: Array, axial: Array, q: Array, directions: tuple[int, ...], *, stretch_alone: bool = False
+        self,
+        bend: Array,
+        axial: Array,
+        springs: Array,
+        q: Array,
+        directions: tuple[int, ...],
+        *,
+        stretch_alone: bool = False,
     ) -> Array:
         """Tangent of the elastic forces, shape (n, d, d)."""
         strain, turned = self.beam.strained(q)
@@ -192,12 +208,14 @@ class BeamMatrices:
         of_point = of_point * axial[:, :, np.newaxis, np.newaxis, np.newaxis]
         blocks = (of_point @ self._products).reshape(*of_point.shape[:-1], 4, 4)
         if stretch_alone:
-            return self._assembled(blocks, np.zeros_like(self.constant[0]), directions)
+            return self._assembled(blocks, np.zeros_like(self.known_kg), directions)
         return self._assembled(
-            blocks + _by_element(bend, self.units[0], len(directions)), self.springs(axial), directions
+            blocks + _by_element(bend, self.units[0], len(directions)), springs, directions
         )
 
-    def _residual(self, bend: Array, axial: Array, mass: Array, points: Array, q: Array) -> Array:
+    def _residual(
+        self, bend: Array, axial: Array, springs: Array, mass: Array, points: Array, q: Array
+    ) -> Array:
         """Weight minus elastic force over all coordinates, shape (n, 4 (ne + 1))."""
         strain, turned = self.beam.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
@@ -206,7 +224,6 @@ class BeamMatrices:
         force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
         force = force - bend[:, :, np.newaxis, np.newaxis] * (self.beam.elements(q) @ self.units[0])
         out = self.gathered(force)
-        springs = self.springs(axial)
         for d in range(2):
             held = np.einsum("nij,nj->ni", springs, q[:, d::2])
             out[:, d::2] += gravity[d] * np.sum(points[:, :, 0::2], axis=-1) - held
@@ -217,7 +234,7 @@ class BeamMatrices:
         """Equilibrium of the standard beam, all coordinates, shape (4 (ne + 1),)."""
         return np.pad(static_equilibrium(self.beam), (self.beam.held, 0))
 
-    def _equilibrium(self, bend: Array, axial: Array, mass: Array, points: Array) -> Array:
+    def _equilibrium(self, bend: Array, axial: Array, springs: Array, mass: Array, points: Array) -> Array:
         """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method does not converge."""
         q = np.repeat(self._start[np.newaxis].astype(bend.dtype), bend.shape[0], axis=0)
         if not np.any(self.beam.gravity_m_s2):
@@ -231,7 +248,7 @@ class BeamMatrices:
         done = np.zeros(bend.shape[0], dtype=np.bool_)
         for _ in range(statics.TUNING.family_iterations):
             todo = np.flatnonzero(~done)
-            parts = bend[todo], axial[todo]
+            parts = bend[todo], axial[todo], springs[todo]
             tangent = self._stiffness(*parts, q[todo], self.static)
             residual = self._residual(*parts, mass[todo], points[todo], q[todo])[:, free]
             move = scaled_solve(tangent, residual[:, :, np.newaxis], scale)[:, :, 0]
@@ -254,20 +271,27 @@ class BeamMatrices:
         bend = p.elastic_modulus_pa * p.second_moment_m4 * np.exp(modulus + width + 3.0 * thickness)
         axial = p.elastic_modulus_pa * p.area_m2 * np.exp(modulus + width + thickness)
         mass = p.density_kg_m3 * p.area_m2 * np.exp(density + width + thickness)
-        body = np.exp(u[:, 2 * ne + 2 :])
-        points = self.constant[0] + np.tensordot(body, self.body_kg, 1)
-        q = self._equilibrium(bend, axial, mass, points)
+        more = np.exp(u[:, 2 * ne + 2 :])
+        body, grip = more[:, : self.bodies], more[:, self.bodies :]
+        if not self.clamp:
+            grip = np.ones((u.shape[0], 2))
+        springs = self.springs(axial, grip)
+        points = self.known_kg + np.tensordot(body, self.body_kg, 1)
+        q = self._equilibrium(bend, axial, springs, mass, points)
         blocks = _by_element(mass, self.units[1], len(self.modal))
         return BeamStates(
             bend,
             axial,
             mass,
             body,
+            grip,
             q,
-            self._stiffness(bend, axial, q, self.static),
-            self._stiffness(bend, axial, q, self.modal),
+            self._stiffness(bend, axial, springs, q, self.static),
+            self._stiffness(bend, axial, springs, q, self.modal),
             self._assembled(blocks, points, self.modal),
-            None if self.straight else self._stiffness(bend, axial, q, self.modal, stretch_alone=True),
+            None
+            if self.straight
+            else self._stiffness(bend, axial, springs, q, self.modal, stretch_alone=True),
         )
 
 
@@ -286,10 +310,10 @@ def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:
 def changes(
     matrices: BeamMatrices, state: BeamStates, left: FloatArray, right: FloatArray, square: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, 2 ne + 2 + b) each.
+    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, v) each.
 
-    With respect to the logarithms of widths, thicknesses, density, modulus and unknown point masses; for vectors over
-    the vibrating coordinates, (n, f, d), and `square`, (n, f).
+    With respect to the logarithms of widths, thicknesses, density, modulus, unknown point masses and an unknown clamp;
+    for vectors over the vibrating coordinates, (n, f, d), and `square`, (n, f).
     """
     strain, turned = matrices.beam.strained(state.q)
     left, right = (matrices.full(x, matrices.modal) for x in (left, right))
@@ -298,7 +322,7 @@ def changes(
     w_t, v_t = (np.sum(x * turned[:, np.newaxis], axis=-2) for x in (w_s, v_s))
     wv = np.sum(w_s * v_s, axis=-2)
     curve, value, _ = matrices.units
-    held = matrices.constant[2][0, 0]
+    held = matrices.held_per_m
     bend = np.sum((w @ curve) * v, axis=(-2, -1)) * state.bend[:, np.newaxis]
     axial = (w_t * v_t + strain[:, np.newaxis] * wv) @ matrices.beam.weight_m
     axial[:, :, 0] += held * np.sum(w[:, :, 0, :, 0] * v[:, :, 0, :, 0], axis=-1)
@@ -308,21 +332,31 @@ def changes(
     body = np.einsum("nfid,bij,nfjd->nfb", left.reshape(two), matrices.body_kg, right.reshape(two))
     body = body * state.body[:, np.newaxis]
     moved = kinetic, body
+    stiffness = _grip(matrices, state)[:, np.newaxis]
+    grip = np.sum(w[:, :, 0, :, :2] * v[:, :, 0, :, :2], axis=-2)[:, :, : stiffness.shape[2]] * stiffness
     mass, body = (-square[:, :, np.newaxis] * x for x in moved)
     if np.any(matrices.beam.gravity_m_s2):
         # derivative of left^T K right with respect to the state
         along = w_s * v_t[..., np.newaxis, :] + v_s * w_t[..., np.newaxis, :]
         along += turned[:, np.newaxis] * wv[..., np.newaxis, :]
         more = _by_equilibrium(matrices, state, along)
-        bend, axial, mass, body = bend + more[0], axial + more[1], mass + more[2], body + more[3]
+        bend, axial, mass, body, grip = (
+            x + y for x, y in zip((bend, axial, mass, body, grip), more, strict=True)
+        )
     zero = np.zeros_like(bend)
-    return _to_variables(bend, axial, mass, body), _to_variables(zero, zero, *moved)
+    return _to_variables(bend, axial, mass, body, grip), _to_variables(zero, zero, *moved, 0.0 * grip)
+
+
+def _grip(matrices: BeamMatrices, state: BeamStates) -> FloatArray:
+    """Stiffness of an unknown clamp against translation and rotation; shape (n, 2), or (n, 0) of a known one."""
+    springs = np.stack(np.broadcast_arrays(*matrices.beam.springs(state.axial)), axis=-1) * state.grip
+    return springs[:, : 2 * matrices.clamp]
 
 
 def _by_equilibrium(
     matrices: BeamMatrices, state: BeamStates, along: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Contribution of the change of the equilibrium with log EI, EA and rho A, (n, f, ne) each, and masses, (n, f, b).
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Contribution of the change of the equilibrium with log EI, EA and rho A, (n, f, ne) each, masses and clamp.
 
     `along` is the derivative of a quantity with respect to the slopes at the Gauss points, over EA, shape
     (n, f, ne, 2, g). With the adjoint state a the contribution is ``a^T (F_weight - F_elastic)_p``.
@@ -336,12 +370,14 @@ def _by_equilibrium(
     curve, _, load = matrices.units
     bend = -np.sum(a * (q @ curve)[:, np.newaxis], axis=(-2, -1))
     axial = -np.sum(a_t * (weight * strain)[:, np.newaxis], axis=-1)
-    held = matrices.constant[2][0, 0] * state.axial[:, np.newaxis, 0]
+    held = matrices.held_per_m * state.axial[:, np.newaxis, 0]
     axial[:, :, 0] -= held * np.sum(a[:, :, 0, :, 0] * q[:, np.newaxis, 0, :, 0], axis=-1)
     mass = np.sum(a * np.outer(matrices.beam.gravity_m_s2, load), axis=(-2, -1))
     fall = adjoint.reshape(*adjoint.shape[:2], -1, 2) @ matrices.beam.gravity_m_s2
     body = fall @ np.sum(matrices.body_kg[:, :, 0::2], axis=-1).T * state.body[:, np.newaxis]
-    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis], body
+    grip = _grip(matrices, state)[:, np.newaxis]
+    grip = -np.sum(a[:, :, 0, :, :2] * q[:, np.newaxis, 0, :, :2], axis=-2)[:, :, : grip.shape[2]] * grip
+    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis], body, grip
 
 
 def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> FloatArray:
@@ -355,9 +391,11 @@ def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> Fl
     return matrices.full(np.swapaxes(solved, 1, 2), matrices.static)
 
 
-def _to_variables(bend: FloatArray, axial: FloatArray, mass: FloatArray, body: FloatArray) -> FloatArray:
-    """From derivatives by log EI, log EA and log rho A, (..., ne), and masses to those by the variables."""
+def _to_variables(
+    bend: FloatArray, axial: FloatArray, mass: FloatArray, body: FloatArray, grip: FloatArray
+) -> FloatArray:
+    """From derivatives by log EI, log EA and log rho A, (..., ne), masses and clamp to those by the variables."""
     total = bend + axial + mass
     of_density = np.sum(mass, axis=-1, keepdims=True)
     of_modulus = np.sum(bend + axial, axis=-1, keepdims=True)
-    return np.concatenate([total, total + 2.0 * bend, of_density, of_modulus, body], axis=-1)
+    return np.concatenate([total, total + 2.0 * bend, of_density, of_modulus, body, grip], axis=-1)

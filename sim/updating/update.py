@@ -12,6 +12,7 @@ import numpy as np
 from sim.beam import BeamProperties, BuckledBeamError, NoEquilibriumError
 from sim.updating.bayesian import TUNING as BAYESIAN
 from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
+from sim.updating.elastic_clamp import ClampPosterior, find_clamp
 from sim.updating.evidence import ModelComparison, compare_models
 from sim.updating.least_squares import PaperUpdate, UniformUpdate, update_like_paper, update_uniform
 from sim.updating.measured_modes import TUNING as MEASURED
@@ -23,7 +24,7 @@ from tracker import Column, Failure, FloatArray, IntArray, table_row
 if TYPE_CHECKING:
     import pandas as pd
 
-Method = Literal["bayesian", "evidence", "paper", "point_mass", "uniform"]
+Method = Literal["bayesian", "clamp", "evidence", "paper", "point_mass", "uniform"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class UpdatingSettings:
         Of the posterior.
     point_mass : bool
         Whether to look for a point mass that the beam lacks.
+    clamp : bool
+        Whether to look for the stiffnesses of the clamp.
     """
 
     bound: float = 0.10
@@ -64,6 +67,7 @@ class UpdatingSettings:
     model_sd: float = field(default_factory=lambda: MEASURED.model_sd)
     draws: int = field(default_factory=lambda: BAYESIAN.draws)
     point_mass: bool = False
+    clamp: bool = False
 
     @property
     def prior(self) -> SmoothPrior:
@@ -103,7 +107,7 @@ UPDATING_COLUMNS = (
 
 @dataclass(frozen=True)
 class Updating:
-    """Result of updating one beam by each method; `point_mass` is None where none was looked for."""
+    """Result of updating one beam by each method; `point_mass` and `clamp` are None where none was looked for."""
 
     measured: MeasuredModes
     paper: PaperUpdate
@@ -111,6 +115,7 @@ class Updating:
     bayesian: BayesianUpdate
     evidence: ModelComparison
     point_mass: PointMassPosterior | None = None
+    clamp: ClampPosterior | None = None
 
     @property
     def properties(self) -> BeamProperties:
@@ -200,12 +205,22 @@ class Updating:
 
 
 _DEFAULT_SETTINGS = UpdatingSettings()
-UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | PointMassPosterior | Failure
+UpdatePart = (
+    BayesianUpdate
+    | ClampPosterior
+    | ModelComparison
+    | PaperUpdate
+    | PointMassPosterior
+    | UniformUpdate
+    | Failure
+)
 
 
 def chosen_methods(settings: UpdatingSettings) -> tuple[Method, ...]:
     """Parts of `update`, those that take longest first."""
-    return (*(("point_mass",) if settings.point_mass else ()), "bayesian", "evidence", "paper", "uniform")
+    asked: tuple[Method, ...] = ("clamp",) if settings.clamp else ()
+    asked = ("point_mass", *asked) if settings.point_mass else asked
+    return (*asked, "bayesian", "evidence", "paper", "uniform")
 
 
 def update(
@@ -253,6 +268,8 @@ def update_by(
             return compare_models(standard, with_sd, prior=settings.prior, seed=seed)
         if method == "point_mass":
             return find_point_mass(standard, with_sd, prior=settings.prior, seed=seed)
+        if method == "clamp":
+            return find_clamp(standard, with_sd, prior=settings.prior, seed=seed)
         if method == "paper":
             return update_like_paper(standard, with_sd, bound=settings.bound, seed=seed)
         return update_uniform(standard, with_sd, bound=settings.bound)

@@ -17,7 +17,8 @@ from modalcam.report import build_report
 from modalcam.report.sections import worst_ratios
 from modalcam.report.style import with_sd
 from modalcam.tables import summary
-from sim.updating import PointMassPosterior
+from sim.beam import ElasticClamp
+from sim.updating import ClampPosterior, PointMassPosterior
 from tracker import FailedTracking, Failure
 
 
@@ -83,6 +84,29 @@ def test_the_places_of_a_point_mass_are_listed_with_its_odds(build):
     body = summary(result)["beam"]["updating"]["point_mass"]
     assert body["most_probable"]["position_m"] == pytest.approx(0.35)
     assert [region["probability"] for region in body["regions_90"]] == pytest.approx([0.58, 0.35])
+
+
+def test_the_stiffness_of_the_clamp_is_listed_with_its_odds(build):
+    draws = np.column_stack([np.geomspace(1e3, 1e8, 2001), np.geomspace(1.0, 2.0, 2001)])
+    found = ClampPosterior(
+        most_probable=ElasticClamp(1.5, 2e4),
+        stiffness=draws,
+        prior_median=np.array([1e4, 1.0]),
+        prior_log_sd=np.array([3.0, 2.5]),
+        effective_draws=1500.0,
+        log_odds=np.log(20.0),
+    )
+    beam = runs.beam_result(elements=6)
+    result = runs.run_result(
+        [runs.recording(0)], beam=replace(beam, updated=replace(beam.updated, clamp=found))
+    )
+    words = Page(build(result)).words
+    assert "An elastic clamp has odds of 20 : 1 in its favour" in words
+    # a tenth of the draws of the first is below the limit of a side that is not closed, a twentieth of the second
+    assert "1.0 to 1.9 N m/rad against rotation and above 3162 N/m against translation" in words
+    clamp = summary(result)["beam"]["updating"]["clamp"]
+    assert clamp["translation_interval_90_n_m"] == [pytest.approx(10**3.5), None]
+    assert clamp["most_probable"]["rotation_n_m_rad"] == 1.5
 
 
 def test_the_first_figure_says_how_far_rayleigh_damping_fitted_to_all_modes_is_off(paper_run, paper_html):
