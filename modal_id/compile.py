@@ -6,6 +6,7 @@ import numpy as np
 
 from modal_id.identify import identify_free_decay
 from modal_id.segments import stretch_costs
+from modal_id.settings import IdentifySettings, SamplerSettings
 from tracker import DisplacementSeries
 
 _RATE_HZ = 200.0
@@ -35,6 +36,11 @@ def compile_for_decays() -> None:
         positions_mm=np.array(_POSITIONS_MM),
         direction=(1.0, 0.0),
     )
-    identify_free_decay(series)
-    # the division of a record, which a known decay needs not
+    # the posterior's steps only call what is compiled
+    few = SamplerSettings(burn_in_steps=2, check_steps=2, max_steps=2)
+    identify_free_decay(series, IdentifySettings(sampler=few))
+
+
+def compile_for_division() -> None:
+    """Compile what the division of a record into stretches needs."""
     stretch_costs(np.ones((6, 1), dtype=complex), 0.0, 1.0)

@@ -52,7 +52,10 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
         for c in range(k):
             own += _power(amplitude[b, c])
         if np.isfinite(own):
-            a[b], power[b], weight[b] = amplitude[b], own, 1.0 / (1.0 + relative**2 * own)
+            power[b], weight[b] = own, 1.0 / (1.0 + relative**2 * own)
+            # one by one: numba takes 1.4 s to compile the assignment of a row
+            for c in range(k):
+                a[b, c] = amplitude[b, c]
     for i in range(n):
         log_variance, energy, count, lag, before = 0.0, 0.0, 0, 0j, 0.0
         for j in range(i + 1, n + 1):
@@ -81,10 +84,12 @@ def _of_waves(
 ) -> tuple[float, float]:
     """Least cost of a wave, a bent wave or two waves, and their number."""
     k = a.shape[1]
-    rss, pole = _one_wave(a, weight, start, 0)
+    # no literals, for each of which numba would compile the function again
+    straight, bent = np.int64(0), np.int64(1)
+    rss, pole = _one_wave(a, weight, start, straight)
     least, which = rss + (2 + 2 * k) * penalty, 1.0
     if count >= 5 and rss > 2.0 * k * count + 2.0 * penalty:
-        rss, _ = _one_wave(a, weight, pole, 1)
+        rss, _ = _one_wave(a, weight, pole, bent)
         least = min(least, rss + (4 + 2 * k) * penalty)
         if count >= 6 and rss > 2.0 * k * count + 2.0 * k * penalty:
             rss = _two_waves(a, weight)
@@ -94,7 +99,9 @@ def _of_waves(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _one_wave(a: ComplexArray, weight: FloatArray, pole: complex, bends: int) -> tuple[float, complex]:
+def _one_wave(
+    a: ComplexArray, weight: FloatArray, pole: complex, bends: int | np.int64
+) -> tuple[float, complex]:
     """Twice the least weighted rss of ``c exp(l x + q x^2)``, x from the middle, and ``exp(l)``; q = 0 unless it bends.
 
     The wave is holomorphic in l and q: Gauss-Newton in complex numbers, the amplitudes projected out.

@@ -25,6 +25,7 @@ from .compare import compare_recordings as compare_recordings
 from .compare import compared as compared
 from .compare import model_scores as model_scores
 from .compile import DECAYS as DECAYS
+from .compile import DIVISION as DIVISION
 from .compile import FILMS as FILMS
 from .compile import GROUPS as GROUPS
 from .compile import LINES as LINES

@@ -88,13 +88,13 @@ DECAYS = Group(
         "modal_id.fit.amplitude_dependence:_decay",
         "modal_id.posterior.reduction:chi_square_of",
         "modal_id.curve.law_fit:_slopes",
-        "modal_id.segments.partition:stretch_costs",
     ),
 )
+DIVISION = Group("modal_id.compile:compile_for_division", ("modal_id.segments.partition:stretch_costs",))
 FILMS = Group(
     "sim.compile:compile_for_films", ("sim.render.kernels:add_marker", "sim.render.kernels:add_strip")
 )
-GROUPS = (LINES, MARKERS, SIMULATION, DECAYS, FILMS)
+GROUPS = (LINES, MARKERS, SIMULATION, DIVISION, DECAYS, FILMS)
 
 
 def compile_for(
@@ -108,7 +108,7 @@ def compile_for(
     beam = context.config.beam
     if not tracking_only:
         groups += [SIMULATION] if beam is not None and not beam.missing() else []
-        groups += [DECAYS]
+        groups += [DIVISION, DECAYS]
         groups += [FILMS] if SIMULATION in groups and films else []
     compile_kernels(context.pool, context.progress, groups)
 

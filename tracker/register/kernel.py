@@ -141,7 +141,8 @@ Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64]
 def make_workspace() -> Workspace:
     """Working memory for `register`: pixels, matrix to the grid, box of pixels, the part of it at work, and sums."""
     return (
-        make_pixel_buffers(BAND_PIXELS),
+        # no literal, for which numba would compile the function again
+        make_pixel_buffers(np.int64(BAND_PIXELS)),
         np.empty((2, 2)),
         np.empty(5, dtype=np.int64),
         np.empty(5, dtype=np.int64),

@@ -121,7 +121,7 @@ PixelBuffers = tuple[
 
 
 @njit(cache=True, nogil=True)
-def make_pixel_buffers(pixels: int) -> PixelBuffers:
+def make_pixel_buffers(pixels: int | np.int64) -> PixelBuffers:
     """Buffers for a number of pixels: their table, cells, nearest grid points, column sums and marks."""
     return (
         np.empty((ROWS, pixels), dtype=np.float32),

@@ -14,6 +14,7 @@ from support.paths import ROOT
 
 from modalcam.pipeline import (
     DECAYS,
+    DIVISION,
     FILMS,
     GROUPS,
     LINES,
@@ -24,7 +25,7 @@ from modalcam.pipeline import (
     compile_kernels,
 )
 
-NAMES = ("LINES", "MARKERS", "SIMULATION", "DECAYS", "FILMS")
+NAMES = ("LINES", "MARKERS", "SIMULATION", "DIVISION", "DECAYS", "FILMS")
 COMPILE = """
 from modalcam.pipeline import compile
 for name in {names}:
@@ -78,8 +79,8 @@ def called():
 
 
 def test_each_group_lists_what_it_calls(called):
-    assert set(GROUPS) == {LINES, MARKERS, SIMULATION, DECAYS, FILMS}
-    for name, group in zip(NAMES, (LINES, MARKERS, SIMULATION, DECAYS, FILMS), strict=True):
+    assert set(GROUPS) == {LINES, MARKERS, SIMULATION, DIVISION, DECAYS, FILMS}
+    for name, group in zip(NAMES, (LINES, MARKERS, SIMULATION, DIVISION, DECAYS, FILMS), strict=True):
         assert called[name] == listed(group), (
             f"{name} of modalcam/pipeline/compile.py must list what it calls"
         )
@@ -89,7 +90,7 @@ def test_each_group_lists_what_it_calls(called):
 def test_a_run_of_the_sample_videos_needs_no_other_kernel(samples_run):
     found = kernels((samples_run.parent / "kernels.txt").read_text(encoding="utf-8"))
     assert {"batch.follow_plain", "march.march", "reduction.chi_square_of"} <= found
-    more = found - listed(MARKERS, SIMULATION, DECAYS, FILMS)
+    more = found - listed(MARKERS, SIMULATION, DIVISION, DECAYS, FILMS)
     assert not more, f"the groups of modalcam/pipeline/compile.py must compile and list {sorted(more)}"
 
 
@@ -194,7 +195,9 @@ def test_identify_says_that_it_compiles_and_the_next_time_does_not(tmp_path):
     table = tmp_path / "decay.csv"
     np.savetxt(table, np.column_stack([time_s, decay + noise]), delimiter=",", header="time_s,x", comments="")
     first, second = (identified(table, tmp_path / name, tmp_path / "cache") for name in ("first", "second"))
-    assert f"compiling, first run on this machine: computed {len(DECAYS.called)}" in first
+    assert (
+        f"compiling, first run on this machine: computed {len(DIVISION.called) + len(DECAYS.called)}" in first
+    )
     assert "compiling" not in second
     modes = [(tmp_path / name / "modes.csv").read_bytes() for name in ("first", "second")]
     assert modes[0] == modes[1]
