@@ -372,11 +372,7 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
 
 
 def _unexplained(found: ResponseFit, lowest_hz: float) -> str:
-    """Where what the fit leaves looks like the response of modes that are not listed; empty where it does not.
-
-    No place is left in 340 records of benchmarks/known_input.py, at least eight where the input is folded at half the
-    rate: it is then neither noise nor what drove the modes.
-    """
+    """Where what the fit leaves looks like the response of modes that are not listed; empty where it does not."""
     places = candidates(found, lowest_hz, criterion(found.samples))
     if not places:
         return ""

@@ -384,14 +384,19 @@ def _reach(edges: FloatArray, seen: BoolArray, at: int) -> tuple[float, float]:
 
 
 def _bursts(blocks: LineBlocks, known: list[Change]) -> list[Change]:
-    """Runs of blocks that the lines explain far worse than most, apart from known changes and the first block."""
+    """Runs of blocks that the lines explain far worse than most, apart from known changes and the first block.
+
+    A long one up to the end of the record is a motion with further modes, and its begin the change.
+    """
     loud = np.flatnonzero(np.nan_to_num(blocks.excess) > TUNING.burst)
     groups = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1) if loud.size else []
     found = []
     for group in groups:
         low_s, high_s = float(blocks.edges_s[group[0]]), float(blocks.edges_s[group[-1] + 1])
+        to_end = group[-1] + 2 == blocks.edges_s.size and group.size > TUNING.click_blocks
+        limits = _reach(blocks.edges_s, _seen(blocks), int(group[0])) if to_end else (low_s, high_s)
         if group[0] > 0 and all(high_s < other.low_s or low_s > other.high_s for other in known):
-            found.append(Change(low_s, high_s, unknown=True))
+            found.append(Change(*limits, unknown=not to_end))
     return found
 
 
