@@ -36,7 +36,6 @@ def compile_for_decays() -> None:
         positions_mm=np.array(_POSITIONS_MM),
         direction=(1.0, 0.0),
     )
-    # the posterior's steps only call what is compiled
     few = SamplerSettings(burn_in_steps=2, check_steps=2, max_steps=2)
     identify_free_decay(series, IdentifySettings(sampler=few))
 

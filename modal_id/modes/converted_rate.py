@@ -153,7 +153,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
         return found
     spread = np.median(np.abs(even.residual), axis=0) / TUNING.median_sd
     kept = np.all(np.abs(even.residual) <= TUNING.outlier_sd * spread, axis=1)
-    record = replace(record.only(kept), steady_noise=steady_noise)
+    record = replace(record.only(kept), steady_noise=steady_noise, predicted=predicted)
     even = record.fit(record.evenly(), record.all_modes)
     displacement, _ = record.motion(even)
     patterns = _lines(record, even.residual * displacement)
@@ -327,10 +327,11 @@ def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFi
     if clock.kind == "moved":
         others = (record.fit(record.waves(clock, share), found.modes).cost for share in _OTHER_SHARES)
         return any(cost < found.cost for cost in others)
-    # Noise with any variance at each phase of the pattern, as of light that flickers.
+    # Noise with any variance at each phase of the pattern, as of light that flickers. That of predicted frames has many
+    # periods: a parameter costs no more than Akaike's criterion asks for.
     flicker = _flickering(record, even, clock.ratio)
-    more = flicker.parameters + TUNING.variances - found.parameters
-    return bool(flicker.cost + more * np.log(record.values.size) < found.cost)
+    each = 2.0 if record.predicted else float(np.log(record.values.size))
+    return flicker.cost + (flicker.parameters + TUNING.variances - found.parameters) * each < found.cost
 
 
 def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:

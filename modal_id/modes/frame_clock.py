@@ -125,8 +125,8 @@ class DecayRecord:
         Modes with its shape and decay rate.
     slow : array, shape (n, b)
         Orthonormal columns of slow motion, of which any amount is fitted beside the modes.
-    steady_noise : bool
-        Whether the variance of the noise tells which frames are means of two.
+    steady_noise, predicted : bool
+        Whether the variance of the noise tells which frames are means of two, and whether a codec predicted frames.
     """
 
     rows: NDArray[np.intp]
@@ -136,6 +136,7 @@ class DecayRecord:
     alike: BoolArray
     slow: FloatArray
     steady_noise: bool = True
+    predicted: bool = False
 
     @property
     def length(self) -> int:

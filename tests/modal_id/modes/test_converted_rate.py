@@ -127,10 +127,16 @@ def test_noise_that_follows_the_motion_is_no_conversion():
     assert FLAG not in found.target.flags
 
 
-@pytest.mark.slow
-def test_alternate_frames_of_a_codec_are_no_conversion(tmp_path):
-    """Errors of frames that H.264 predicts from both beside them alternate: two of 36 films were taken for blends."""
-    film = Film("aruco", "H.264", 1.0, 1500, 11)
+@pytest.mark.parametrize(
+    ("kind", "px", "seed"),
+    [
+        ("aruco", 5.0, 108),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("aruco", 1.0, 11), ("patch", 0.3, 107))),
+    ],
+)
+def test_frames_that_a_codec_predicts_are_no_conversion(tmp_path, kind, px, seed):
+    """Errors of frames that H.264 predicts from others alternate, or have other periods, as those of blends."""
+    film = Film(kind, "H.264", px, 1500, seed)
     tracks = track(film.write(tmp_path), film.settings(), recording="film")
     target = identify(displacement_series(tracks, unit="px"), AT_ONCE).target
     assert FLAG not in target.flags
