@@ -42,9 +42,9 @@ points_px = [[298.0, 102.0]]
 
 @pytest.mark.slow  # in the fast suite: the same of this prong, tracked without the command (test_fork_prongs)
 def test_fork_at_its_recorded_rate(modalcam, fork_folder, tmp_path):
-    """31.971 Hz by an independent fit; zeta is uncertain, as test_fork_prongs.py explains."""
+    """31.971 Hz by an independent fit; zeta is uncertain, as test_fork_prongs.py explains, and a fifth of it lost."""
     code, _, err = modalcam("run", fork_folder, "-o", tmp_path / "out")
-    assert code == 0, err
+    assert (code, "The motion may be driven" in err) == (4, True), err
     row = target_of(tmp_path / "out")
     assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
     low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
