@@ -46,7 +46,7 @@ class Tuning:
     #: statistics: Its 90 % interval would reach half of the value.
     most_relative_sd: float = 0.3
     #: [1] the same where what the fit leaves follows the input
-    #: measurement: In 110 folded records (every second row of "broad" of benchmarks/known_input.py), the 16 modes that
+    #: measurement: In 110 folded records (every second row of "broad" of benchmarks/known_input.py), the 17 modes that
     #: are off by more than 3.5 sd have at least 0.11.
     most_unexplained_sd: float = 0.1
     #: [1] draws of the posterior

@@ -298,7 +298,7 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float, float]:
         noise of the input added.
     freedom : float
         Degrees of freedom of the residual there. If it is no noise but a response that is missing in the fit, of the
-        same power, it moves the mode by up to the root of this many standard deviations (Cauchy-Schwarz inequality).
+        same power, it moves the mode by up to the square root of this number, in sd (Cauchy-Schwarz inequality).
     """
     samples, pole = found.samples, found.poles[index]
     size = samples.frequency_hz.size

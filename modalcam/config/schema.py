@@ -351,8 +351,7 @@ class UpdatingConfig(Options):
         description="Relative standard deviation of the discrepancy between a frequency of the beam and of its model.",
     )
     point_mass: bool = Field(
-        default=False,
-        description="Look for one point mass that [beam] lacks; the narrower the prior (bound), the fewer its places.",
+        default=False, description="Look for one point mass that [beam] lacks; a small bound helps."
     )
     clamp: bool = Field(default=False, description="Look for the stiffnesses of an elastic clamp.")
 

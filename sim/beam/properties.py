@@ -62,7 +62,7 @@ class ElasticClamp:
             checked("translation_n_m of an elastic clamp", self.translation_n_m, positive=True)
 
     def scaled(self, factors: FloatArray) -> ElasticClamp:
-        """A clamp of so many times the stiffness against translation, where it has its own, and rotation."""
+        """The clamp with its stiffnesses multiplied by `factors`: translation, where it is given, and rotation."""
         across = None if self.translation_n_m is None else self.translation_n_m * float(factors[0])
         return ElasticClamp(self.rotation_n_m_rad * float(factors[1]), across)
 

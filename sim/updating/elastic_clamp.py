@@ -131,8 +131,11 @@ def find_clamp(
     basis[-2:, -2:] = np.diag(log_sd)
     free = whiten(misfit, basis)
 
+    def tried(z: FloatArray) -> FloatArray:
+        return np.clip(z[..., -2:], -TUNING.farthest, TUNING.farthest)
+
     def whitened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return free(np.hstack([z[:, :-2], np.clip(z[:, -2:], -TUNING.farthest, TUNING.farthest)]))
+        return free(np.hstack([z[:, :-2], tried(z)]))
 
     starts = np.zeros((5, basis.shape[1]))
     starts[1:, -2:] = TUNING.apart * np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
@@ -147,9 +150,8 @@ def find_clamp(
     rigid = Misfit.of(replace(properties, clamp=None), measured)
     without = maximum(whiten(rigid, own), np.zeros(own.shape[1]))
     return ClampPosterior(
-        most_probable=clamp.scaled(np.exp(top.z[-2:] * log_sd)),
-        stiffness=median
-        * np.exp(np.clip(drawn.z[drawn.equal(rng), -2:], -TUNING.farthest, TUNING.farthest) * log_sd),
+        most_probable=clamp.scaled(np.exp(tried(top.z) * log_sd)),
+        stiffness=median * np.exp(tried(drawn.z[drawn.equal(rng)]) * log_sd),
         prior_median=median,
         prior_log_sd=log_sd,
         effective_draws=drawn.effective,
