@@ -26,7 +26,7 @@ from rich.text import Text
 from modal_id import DAMPING, FREQUENCY, QUOTED, SMALL_DAMPING, SMALL_FREQUENCY, FittingRate, quoted_note
 from modalcam.common import ExitCode, ModalcamError, for_terminal, natural_key, shown
 from modalcam.pipeline import Progress, RecordingResult, Workspace, write_text
-from modalcam.report.style import count, interval, with_sd
+from modalcam.report.style import count, hertz, interval, with_sd
 from tracker import Column as Value
 from tracker import Severity
 
@@ -394,6 +394,10 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
         for line in recording["driven"]:
             cells = (recording["recording"], "", _frequency(recording, line), "driven", "")
             table.add_row(*map(_text, cells))
+    if any(str(cell).endswith("†") for cell in table.columns[2].cells):
+        table.caption = _text(
+            "† below 50 ppm, the sd of an ordinary clock: give fps_tolerance_ppm under [camera]"
+        )
     return table
 
 
@@ -410,7 +414,7 @@ def _beside_the_table(recording: dict[str, Any]) -> list[str]:
         lines.append(f"{name}: {listed}")
     for mode in (mode for mode in recording["modes"] if mode["target"]):
         if not _OTHER_AMPLITUDE.isdisjoint(mode["flags"]):
-            frequency = _frequency(recording, mode, SMALL_FREQUENCY)
+            frequency = _with_sd(mode, SMALL_FREQUENCY, 1.0)
             damping = _with_sd(mode, SMALL_DAMPING, 100.0)
             known = "" if _rate_is_guessed(recording) else f"{frequency} Hz, "
             lines.append(f"{name}: at small amplitude {known}damping ratio {damping} %")
@@ -432,13 +436,11 @@ def _rate_is_guessed(recording: dict[str, Any]) -> bool:
     return tracking is not None and tracking["time_axis"]["source"] == "container"
 
 
-def _frequency(
-    recording: dict[str, Any], motion: dict[str, Any], columns: tuple[Value, Value] = FREQUENCY
-) -> str:
+def _frequency(recording: dict[str, Any], motion: dict[str, Any]) -> str:
     """Frequency in Hz with its sd; that of a film without a recorded rate is unknown."""
     if _rate_is_guessed(recording):
         return "unknown"
-    return _with_sd(motion, columns, 1.0)
+    return hertz(*(_number(motion[column.name]) for column in FREQUENCY))
 
 
 def _with_sd(values: dict[str, Any], columns: tuple[Value, Value], factor: float) -> str:

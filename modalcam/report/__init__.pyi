@@ -19,3 +19,4 @@ from .signals import shown_mode as shown_mode
 from .signals import spectral_density as spectral_density
 from .signals import stability_of as stability_of
 from .signals import tracking_quality as tracking_quality
+from .signals import widest_and_narrowest as widest_and_narrowest

@@ -35,6 +35,7 @@ from modalcam.report.figures import (
 )
 from modalcam.report.sections import (
     MOST_PLACES,
+    PASSED,
     SECTIONS,
     TUNING,
     alerts,
@@ -46,12 +47,11 @@ from modalcam.report.sections import (
     updating_rows,
     worst_ratios,
 )
-from modalcam.report.style import environment, style_sheet, trusted, unbroken
+from modalcam.report.signals import widest_and_narrowest
+from modalcam.report.style import environment, hertz, style_sheet, trusted, unbroken
 from sim.beam import BeamModes
 
 Plots = Literal["interactive", "static"]
-# Modes up to which their values stand beside the first figure, too.
-_LISTED_FIRST = 6
 
 
 def build_report(
@@ -83,8 +83,9 @@ def build_report(
     views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
     across = [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1]
     main = [mode for view in views for mode in view["main"]]
-    failed = alerts(result, views, across)
-    explained = {alert.name for alert in failed if alert.meaning and not alert.remedy}
+    pictured = widest_and_narrowest(result)
+    checks = alerts(result, views, across)
+    explained = {alert.name for alert in checks if alert.meaning and not alert.remedy}
     zooms = detail.diagnostics if plots is None else plots == "interactive"
     script = trusted(_script()) if zooms else ""
     page: dict[str, Any] = {
@@ -96,16 +97,20 @@ def build_report(
         "good": good,
         "driven": driven,
         "main_modes": main,
-        "listed_first": main if len(main) <= _LISTED_FIRST else [],
         "amplitude_dependent": any("AMPLITUDE_DEPENDENT" in mode.flags for mode in main),
         "clock_exact": bool(main) and not any(mode.posterior.rate_sd_ppm for mode in main),
-        "alerts": failed,
-        "without_rate": sum(len(alert.places) for alert in failed if alert.kind == "playback"),
+        "beyond_clock": any("†" in hertz(m.frequency_hz, m.frequency_sd_hz) for m in main),
+        "alerts": checks,
+        "failed": [alert for alert in checks if alert.kind not in PASSED],
+        "passed": PASSED,
+        "without_rate": sum(len(alert.places) for alert in checks if alert.kind == "playback"),
         "most_places": MOST_PLACES,
         "across": across,
         "aliases": aliases(result.recordings),
-        "repeats_disagree": any(alert.kind == "repeats" for alert in failed),
+        "repeats_disagree": any(alert.kind == "repeats" for alert in checks),
         "budgets": budgets(result.recordings),
+        "overview_figures": list(figures_of("overview", result, "all", cache=cache)),
+        "pictured": [view for shown in pictured for view in views if view["recording"] is shown],
         "damping_figures": list(figures_of("damping", result, "all", cache=cache)),
         "comparison_figures": list(figures_of("comparison", result, "all", cache=cache)),
         "compared": compared(result.recordings),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from modal_id import Identification, IdentifiedMode
 from modal_id.data import FitData
 from modal_id.fit import StabilityDiagram, stability_diagram
-from modalcam.pipeline import RunResult
+from modalcam.pipeline import RecordingResult, RunResult
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker import ComplexArray, FloatArray, IntArray, MarkerTracks, flags
@@ -72,6 +72,22 @@ def best_modes(result: RunResult) -> dict[int, tuple[str, IdentifiedMode]]:
                     best.get(mode.number, one), one, key=lambda own: (own[1].target, -own[1].frequency_sd_hz)
                 )
     return best
+
+
+def widest_and_narrowest(result: RunResult) -> list[RecordingResult]:
+    """Decays whose damping ratio has the largest relative standard deviation and the smallest, the first one first.
+
+    A mode whose values may be wrong comes before all others; one decay where there is only one, none without any.
+    """
+    doubts: list[tuple[bool, float, RecordingResult]] = []
+    for recording in result.recordings:
+        found = recording.identified
+        mode = shown_mode(found) if found is not None and found.has_decay else None
+        if mode is not None:
+            relative_sd = mode.damping_ratio_sd / max(abs(mode.damping_ratio), np.finfo(float).tiny)
+            doubts.append((bool(mode.wrong_flags), relative_sd, recording))
+    doubts.sort(key=lambda doubt: doubt[:2], reverse=True)
+    return [recording for *_, recording in (doubts[:1] + doubts[1:][-1:])]
 
 
 def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray:

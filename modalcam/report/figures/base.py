@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Shown = TypeVar("Shown")
-Place = Literal["recording", "tracking", "damping", "comparison", "updating"]
+Place = Literal["recording", "tracking", "overview", "damping", "comparison", "updating"]
 
 
 class Target(NamedTuple):
@@ -67,9 +67,9 @@ class FigureKind(Generic[Shown]):
     ----------
     key : str
         Lower-case letters and digits; ends the id of the figure in the page.
-    place : {"recording", "tracking", "damping", "comparison", "updating"}
+    place : {"recording", "tracking", "overview", "damping", "comparison", "updating"}
         Section of the report: after the facts of each recording, after its table of markers, directly under the
-        verdict, at the comparison of damping models, or at the updating of the beam.
+        verdict, below it, at the comparison of damping models, or at the updating of the beam.
     shows : callable
         ``shows(subject)`` gives the results that the figure is drawn from, or None without them: text, numbers,
         arrays, tuples, dicts or frozen dataclasses. `subject` is a `RecordingSubject` in the places "recording" and

@@ -1,5 +1,7 @@
 """Figures of the decay against time: the whole recording, a close-up of a few cycles, and the envelope.
 
+Those of the first screen show the recordings with the widest and the narrowest interval of the damping ratio.
+
 The axis of amplitude is logarithmic, where a constant damping ratio is a straight line.
 """
 
@@ -10,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from modal_id import Identification, IdentifiedMode
+from modalcam.pipeline import RunResult
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
-from modalcam.report.signals import measured_envelope, mode_motion, residual
+from modalcam.report.signals import measured_envelope, mode_motion, residual, widest_and_narrowest
 from modalcam.report.style import (
     ALERT,
     COLUMNS,
@@ -25,11 +28,13 @@ from modalcam.report.style import (
     figure_label,
     legend_above,
     log_y,
+    mode_name,
     onset_line,
     percent,
     quantity,
     share_time,
     trace,
+    with_sd,
 )
 from tracker import DisplacementSeries, FloatArray
 
@@ -70,14 +75,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     all_axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     columns = COLUMNS if len(rows) <= 3 else COLUMNS // 2
     for axes, channel in zip(all_axes, rows, strict=False):
-        values = series.values[:, channel]
-        baseline = 0.0 if found is None else found.baseline[:, channel]
-        offset = np.nanmean(values) if np.isfinite(values).any() else 0.0
-        centre = np.nanmean(baseline) if np.isfinite(baseline).any() else offset
-        trace(axes, series.time_s, values - centre, MEASURED, columns=columns)
-        if found is not None:
-            fitted = found.fitted[:, channel] - centre
-            trace(axes, series.time_s, fitted, FIT, width=0.6, columns=columns, alpha=0.75)
+        _motion(axes, series, found, channel, columns)
         position = series.positions_mm[channel]
         where = f", {position:.4g} mm from the clamp" if np.isfinite(position) else ""
         title = f"{channel_label(series.channels[channel])}{where}"
@@ -90,6 +88,19 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     share_time(all_axes)
     all_axes[-1].set(xlabel="time (s)", xlim=series.time_s[[0, -1]])
     figure.supylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})", fontsize=8.5, x=0.008)
+
+
+def _motion(
+    axes: Axes, series: DisplacementSeries, found: Identification | None, channel: int, columns: int
+) -> None:
+    values = series.values[:, channel]
+    baseline = 0.0 if found is None else found.baseline[:, channel]
+    offset = np.nanmean(values) if np.isfinite(values).any() else 0.0
+    centre = np.nanmean(baseline) if np.isfinite(baseline).any() else offset
+    trace(axes, series.time_s, values - centre, MEASURED, columns=columns, label="measured")
+    if found is not None:
+        fitted = found.fitted[:, channel] - centre
+        trace(axes, series.time_s, fitted, FIT, width=0.6, columns=columns, alpha=0.75, label="fitted")
 
 
 def _finish(
@@ -108,30 +119,51 @@ DECAY = FigureKind("decay", "recording", _shows, _draw, essential=True)
 
 
 _CYCLES = 4.0
+# Of the first screen, beside the table of modes; letters there are as large as those of the text.
+_WIDTH_IN = 4.0
 
 
 def _draw_close_up(figure: Figure, shown: Target) -> bool:
     found, mode, channel = shown
     series = found.series
-    used = np.flatnonzero(found.used[:, channel])
-    if used.size < 2:
+    if np.count_nonzero(found.used[:, channel]) < 2:
         return False
     span = _CYCLES / mode.frequency_hz
-    start, end = found.onset.fit_from_s, float(series.time_s[used[-1]])
-    late = max(start, min(start + 0.6 * (end - start), end - span))
-    panels = ((start, "At the start of the fit"), (late, "Late in the decay"))
+    panels = (
+        (found.onset.fit_from_s, "At the start of the fit"),
+        (_late(shown, span), "Late in the decay"),
+    )
     for axes, (begin, title) in zip(figure.subplots(1, 2), panels, strict=True):
-        inside = (series.time_s >= begin) & (series.time_s <= begin + span)
-        t, y = series.time_s[inside], series.values[inside, channel]
-        dots(axes, t, y, MEASURED, 3.2 if t.size < 150 else 2.0, label="measured")
-        fine = np.linspace(begin, begin + span, 160)
-        trace(axes, fine, _fine_fit(found, channel, fine), FIT, width=1.2, label="fitted")
+        _cycles(axes, shown, begin, span)
         few_ticks(axes, x=5)
         axes.set(title=title, xlabel="time (s)")
-        axes.margins(y=0.08)
     figure.axes[0].set_ylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})")
     legend_above(figure, figure.axes[1].get_legend_handles_labels(), columns=2)
     return True
+
+
+def _late(shown: Target, span_s: float) -> float:
+    """Where `span_s` begin late in the decay: at six tenths of it, or so that they end with it."""
+    found, _, channel = shown
+    start, end = (
+        found.onset.fit_from_s,
+        float(found.series.time_s[np.flatnonzero(found.used[:, channel])[-1]]),
+    )
+    return max(start, min(start + 0.6 * (end - start), end - span_s))
+
+
+def _cycles(axes: Axes, shown: Target, begin_s: float, span_s: float) -> None:
+    """Samples and fit over a few cycles."""
+    found, _, channel = shown
+    series = found.series
+    inside = np.flatnonzero((series.time_s >= begin_s) & (series.time_s <= begin_s + span_s))
+    # More dots than that lie on each other.
+    inside = inside[:: max(1, inside.size // 400)]
+    t, y = series.time_s[inside], series.values[inside, channel]
+    dots(axes, t, y, MEASURED, 3.2 if t.size < 150 else 2.0, label="measured")
+    fine = np.linspace(begin_s, begin_s + span_s, 160)
+    trace(axes, fine, _fine_fit(found, channel, fine), FIT, width=1.2, label="fitted")
+    axes.margins(y=0.08)
 
 
 def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatArray:
@@ -145,6 +177,42 @@ def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatA
     return motion + np.interp(time_s, sample_s, rest) if good.size else motion
 
 
+class _Extreme(NamedTuple):
+    recording: str
+    target: Target
+
+
+def _shows_extremes(result: RunResult) -> tuple[_Extreme, ...] | None:
+    found = [(r.name, RecordingSubject(r).decaying()) for r in widest_and_narrowest(result)]
+    return tuple(_Extreme(name, target) for name, target in found if target) or None
+
+
+def _draw_extremes(figure: Figure, shown: tuple[_Extreme, ...]) -> None:
+    figure.set_figheight(0.7 + 1.45 * len(shown))
+    rows = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(3, 2))
+    for (whole, late), (name, target) in zip(rows, shown, strict=True):
+        found, mode, channel = target
+        series = found.series
+        _motion(whole, series, found, channel, COLUMNS // 4)
+        onset_line(whole, found.onset.time_s)
+        whole.set(
+            xlim=series.time_s[[0, -1]],
+            ylabel=f"{channel_label(series.channels[channel])} ({figure_label(series.unit)})",
+        )
+        value = with_sd(100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd)
+        whole.set_title(f"{figure_label(name)}: {mode_name(mode).lower()}, ζ = {value} %", loc="left")
+        span = _CYCLES / mode.frequency_hz
+        if np.count_nonzero(found.used[:, channel]) > 1:
+            _cycles(late, target, _late(target, span), span)
+        few_ticks(whole, x=6, y=4)
+        few_ticks(late, x=3, y=4)
+    for axes in rows[-1]:
+        axes.set_xlabel("time (s)")
+
+
+EXTREMES = FigureKind(
+    "extremes", "overview", _shows_extremes, _draw_extremes, width_in=_WIDTH_IN, essential=True
+)
 CLOSE_UP = FigureKind("close", "recording", RecordingSubject.decaying, _draw_close_up)
 
 

@@ -10,7 +10,7 @@ from modalcam.pipeline import Cache
 from modalcam.report.figures.ambient import AMBIENT
 from modalcam.report.figures.base import FigureKind, Place
 from modalcam.report.figures.damping import DAMPING, VARIANTS
-from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE
+from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE, EXTREMES
 from modalcam.report.figures.frequency import SPECTRUM, STABILITY
 from modalcam.report.figures.instantaneous import INSTANTANEOUS
 from modalcam.report.figures.posterior import POSTERIOR, TRACE
@@ -37,7 +37,7 @@ _RECORDING = (
     SIMULATED,
 )
 FIGURES: dict[str, FigureKind[Any]] = {
-    kind.key: kind for kind in (*_RECORDING, TRACKING, DAMPING, VARIANTS, FIELDS)
+    kind.key: kind for kind in (*_RECORDING, TRACKING, EXTREMES, DAMPING, VARIANTS, FIELDS)
 }
 
 
@@ -60,7 +60,7 @@ def register_figure(kind: FigureKind[Any]) -> None:
 
 # Of a recording, and of the whole run; in the order on the page.
 RECORDING_PLACES: tuple[Place, ...] = ("recording", "tracking")
-RUN_PLACES: tuple[Place, ...] = ("damping", "comparison", "updating")
+RUN_PLACES: tuple[Place, ...] = ("overview", "damping", "comparison", "updating")
 
 
 def shown_in(

@@ -1,4 +1,5 @@
 from .alerts import MOST_PLACES as MOST_PLACES
+from .alerts import PASSED as PASSED
 from .alerts import TUNING as TUNING
 from .alerts import alerts as alerts
 from .alerts import flag_meanings as flag_meanings

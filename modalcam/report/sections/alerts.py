@@ -11,6 +11,7 @@ import numpy as np
 from modal_id import Check, DrivenMotion, IdentifiedMode, ModeFlag, quoted_note
 from modal_id.modes import line_effect
 from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult
+from modalcam.report.sections.updating import updating_numbers
 from modalcam.report.signals import best_modes, main_modes
 from modalcam.report.style import count, fixed, listed, mode_name, p_value, percent, significant
 from tracker import REGISTRY, MarkerTracks, Severity
@@ -29,6 +30,12 @@ class Tuning:
     #: [1] factor on an interval from which on it is stated
     #: convention: A smaller factor is not worth a line.
     wider: float = 1.05
+    #: [sd] a line that changes frequency and damping ratio by less is no failed check
+    #: convention: Added in quadrature, it widens an interval by 4 %.
+    slight: float = 0.3
+    #: [sd] distance of an updated property from the configured one, in sd of its prior, from which on it is stated
+    #: statistics: One of 42 normal values is that far out in 2 % of beams.
+    strain: float = 3.5
     #: [1] relative distance from a measured mode within which a line of a residual is named after it
     #: convention: Modes of a beam are factors apart.
     near: float = 0.02
@@ -50,8 +57,12 @@ KINDS = (
     "interval",
     "fit",
     "phase",
+    "beam",
+    # These change no result.
+    "slight",
     "other",
 )
+PASSED = ("slight", "other")
 # Severities of the flags listed as failed checks, and the largest number of places named with each.
 _SHOWN = (Severity.WRONG, Severity.INTERVAL)
 MOST_PLACES = 6
@@ -114,6 +125,7 @@ def alerts(
     found += [*_flagged(result), *_of_fits(views, modes_hz)]
     found.append(Alert("rate", tuple(_other_rates(result))))
     found.append(Alert("cut", tuple(_cut_files(result))))
+    found.append(Alert("beam", tuple(_strained(result))))
     found.append(Alert("repeats", tuple(("modes", _disagreement(m)) for m in repeats if _disagrees(m))))
     return sorted((alert for alert in found if alert.places), key=lambda alert: KINDS.index(alert.kind))
 
@@ -134,6 +146,14 @@ def _cut_files(result: RunResult) -> Iterator[tuple[str, str]]:
             cut = recording.tracks.decode.cut_off(recording.tracks.time_axis.known_fps)
             if cut:
                 yield anchor_of(i), f"{cut.partition(': ')[2]} ({recording.name})"
+
+
+def _strained(result: RunResult) -> Iterator[tuple[str, str]]:
+    """The property that updating changes most, where its prior hardly allows that."""
+    numbers = updating_numbers(result.beam) if result.beam else {}
+    if numbers and numbers["strain"] >= TUNING.strain:
+        by = f"{significant(numbers['strained_change'], 2)} %, {significant(numbers['strain'], 2)} standard deviations"
+        yield "updating", f"{numbers['strained']} changes by {by} of the prior"
 
 
 def _disagrees(mode: MeasuredMode) -> bool:
@@ -207,8 +227,9 @@ def _fit_alert(
     lines = [line for _, _, line in found if line and line.effect_sd]
     worst = max(lines, key=lambda line: max(line.effect_sd or (0.0,)), default=None)
     check = ones[0][1]
+    slight = len(lines) == len(found) and worst and max(worst.effect_sd or (0.0,)) < TUNING.slight
     return Alert(
-        "fit",
+        "slight" if slight else "fit",
         tuple(places),
         name[0].upper() + name[1:],
         check.cause,

@@ -34,6 +34,7 @@ from .text import decimals_of as decimals_of
 from .text import environment as environment
 from .text import figure_label as figure_label
 from .text import fixed as fixed
+from .text import hertz as hertz
 from .text import in_unit as in_unit
 from .text import interval as interval
 from .text import listed as listed

@@ -19,6 +19,7 @@ from markupsafe import Markup
 
 from modalcam.common import escape
 from tracker import checked
+from tracker.geometry import time_axis
 
 if TYPE_CHECKING:
     from modal_id import IdentifiedMode
@@ -82,6 +83,12 @@ def with_sd(value: float, sd: float) -> str:
     if decimals > _MOST_DECIMALS or max(abs(value), sd) >= _LARGEST:
         return _scientific(value, sd)
     return f"{fixed(value, decimals)} ± {fixed(sd, decimals)}"
+
+
+def hertz(frequency_hz: float, sd_hz: float) -> str:
+    """``value ± sd`` of a frequency, with ``†`` where no ordinary clock is known to the sd."""
+    below = 0.0 < sd_hz < 1e-6 * time_axis.RATE_SD_PPM["camera header"] * frequency_hz
+    return with_sd(frequency_hz, sd_hz) + "†" * below
 
 
 def in_unit(text: str, unit: str) -> str:
@@ -278,6 +285,7 @@ _PACKAGE = "modalcam.report"
 _FILTERS: tuple[Callable[..., str], ...] = (
     count,
     fixed,
+    hertz,
     in_unit,
     interval,
     listed,

@@ -86,7 +86,8 @@ def test_a_change_redraws_only_the_figures_that_show_it(tmp_path, drawn):
         short_run(tracks=replace(tracks, time_axis=runs.PLAYBACK), name="other"), Cache(tmp_path)
     )
     assert "The time axis is a playback rate" in page
-    assert drawn == []
+    assert drawn == ["extremes"], "it has the name of the recording"
+    drawn.clear()
     build_report(short_run(tracks=replace(tracks, sd_x_px=2.0 * tracks.sd_x_px)), Cache(tmp_path))
     assert drawn == ["tracking"]
 

@@ -15,12 +15,25 @@ from modalcam.report import (
     shown_channel,
     shown_mode,
     spectral_density,
+    widest_and_narrowest,
 )
 from modalcam.report.figures import in_phase, rayleigh_damping_ratio
 
 
 def identification(number=2, **more):
     return runs.recording(0, number=number, frequency_hz=10.19, damping_ratio=0.0028, **more).identification
+
+
+def test_doubtful_decays_come_first_then_the_widest_interval():
+    recordings = [runs.recording(i, seconds=1.5) for i in range(4)]
+    targets = [r.identification.target for r in recordings]
+    by_width = [recordings[i] for i in np.argsort([m.damping_ratio_sd / m.damping_ratio for m in targets])]
+    assert widest_and_narrowest(runs.run_result(recordings)) == [by_width[-1], by_width[0]]
+    middle = recordings.index(by_width[1])
+    recordings[middle] = runs.recording(middle, seconds=1.5, flags=("HARMONIC",))
+    assert widest_and_narrowest(runs.run_result(recordings)) == [recordings[middle], by_width[0]]
+    assert widest_and_narrowest(runs.run_result(recordings[:1])) == recordings[:1]
+    assert widest_and_narrowest(runs.run_result([])) == []
 
 
 def test_the_envelope_is_that_of_eq_1():

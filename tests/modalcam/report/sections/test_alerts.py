@@ -121,17 +121,28 @@ def test_checks_are_in_order_of_their_effect():
     assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
 
 
-def test_the_first_screen_names_the_largest_effect_of_a_check():
+@pytest.mark.parametrize(
+    ("shares", "kind", "largest"),
+    [
+        ((0.5, 2.0), "fit", "may change the frequency by 2.0 sd and the damping ratio by 1.0 sd."),
+        (
+            (0.1, 0.2),
+            "slight",
+            "shifts frequency and damping ratio by less than 0.2 of their standard deviations.",
+        ),
+    ],
+)
+def test_the_largest_effect_of_a_check_decides_whether_it_failed(shares, kind, largest):
     """The effect of each line is that of `line_effect` over the sd of the mode, which the test sets."""
     recording = runs.recording(2, number=3, frequency_hz=26.84, seconds=1.5)
     found = recording.identification
     line, two = line_effect(found, found.target, 40.0), np.array([[-1.0, 1.0]])
     views = []
-    for anchor, share in (("r1", 0.5), ("r2", 2.0)):
+    for anchor, share in zip(("r1", "r2"), shares, strict=True):
         posterior = replace(
             found.target.posterior,
             frequency_hz=found.target.frequency_hz + line.frequency_hz / share * two,
-            damping_ratio=found.target.damping_ratio + line.damping_ratio * two,
+            damping_ratio=found.target.damping_ratio + line.damping_ratio / min(share, 1.0) * two,
         )
         check = Check("unmodelled vibration", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 40.0)
         mode = replace(found.target, posterior=posterior)
@@ -145,12 +156,25 @@ def test_the_first_screen_names_the_largest_effect_of_a_check():
                 "mpc": 1.0,
             }
         )
-    (alert,) = (a for a in alerts(runs.run_result([recording]), views) if a.kind == "fit")
+    (alert,) = alerts(runs.run_result([recording]), views)
+    assert alert.kind == kind
     assert alert.brief == ("recording recording_3 (line at 40.0 Hz)",) * 2
-    assert (
-        alert.largest
-        == "The line with the largest effect may change the frequency by 2.0 sd and the damping ratio by 1.0 sd."
-    )
+    assert alert.largest == f"The line with the largest effect {largest}"
+
+
+def test_an_updated_beam_far_from_the_configured_one_is_a_failed_check(paper_run):
+    updated = paper_run.beam.updated
+    largest = np.max(np.abs(updated.bayesian.log_factor))
+    for strain in (3.0, 4.0):
+        prior = replace(updated.bayesian.prior, sd=largest / strain)
+        changed = replace(updated, bayesian=replace(updated.bayesian, prior=prior))
+        places = [
+            a.places[0]
+            for a in alerts(replace(paper_run, beam=replace(paper_run.beam, updated=changed)))
+            if a.kind == "beam"
+        ]
+        assert [at for at, _ in places] == ["updating"] * (strain > 3.5)
+        assert all(f"{strain:.1f} standard deviations of the prior" in text for _, text in places)
 
 
 def test_flags_of_modes_that_were_only_also_excited_come_last():

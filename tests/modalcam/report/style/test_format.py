@@ -9,6 +9,7 @@ from modalcam.report.style import (
     count,
     decimals_of,
     fixed,
+    hertz,
     in_unit,
     interval,
     listed,
@@ -118,3 +119,8 @@ def test_signs_odds_rates_and_lists():
         "29.97003 fps (30000/1001)",
     ]
     assert [listed(w) for w in ((), ("a",), ("a", "b", "c"))] == ["", "a", "a, b and c"]
+
+
+@pytest.mark.parametrize(("sd", "text"), [(0.0004, "10.00000 ± 0.00040†"), (0.0006, "10.00000 ± 0.00060")])
+def test_a_frequency_known_better_than_a_clock_has_a_mark(sd, text):
+    assert hertz(10.0, sd) == text
