@@ -395,9 +395,7 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
             cells = (recording["recording"], "", _frequency(recording, line), "driven", "")
             table.add_row(*map(_text, cells))
     if any(str(cell).endswith("†") for cell in table.columns[2].cells):
-        table.caption = _text(
-            "† below 50 ppm, the sd of an ordinary clock: give fps_tolerance_ppm under [camera]"
-        )
+        table.caption = _text("† below 50 ppm, the error of a clock: give camera.fps_tolerance_ppm")
     return table
 
 

@@ -43,6 +43,26 @@ def test_the_oldest_dependencies_are_those_that_pyproject_states():
             )
 
 
+def test_the_conda_recipe_has_the_dependencies_of_pyproject():
+    recipe = (ROOT / "packaging" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    there = dict(re.findall(r"^    - ([\w-]+) >=([\d.]+)$", recipe.partition("  run:")[2], re.MULTILINE))
+    names = {"matplotlib": "matplotlib-base", "opencv-contrib-python-headless": "py-opencv"}
+    stated = {names.get(name, name): v for name, v in lowest(PROJECT["project"]["dependencies"]).items()}
+    # the last number is that of the wheel alone
+    stated["py-opencv"] = stated["py-opencv"].rpartition(".")[0]
+    assert there == stated | {"python": PROJECT["project"]["requires-python"].removeprefix(">=")}
+    assert f'version: "{PROJECT["project"]["version"]}"' in recipe
+
+
+@pytest.mark.skipif(not APPS, reason="the list has the commands and tables of the apps")
+def test_nothing_public_is_lost():
+    now = set(runpy.run_path(str(ROOT / "docs" / "public.py"))["public"]())
+    promised = set((ROOT / "docs" / "public.txt").read_text(encoding="utf-8").splitlines())
+    assert not promised - now, f"docs/stability.md, deprecation: {sorted(promised - now)}"
+    demanded = {line for line in now - promised if line.endswith(", required)")}
+    assert not {line for line in demanded if line.partition("(")[0] in promised}, "old calls would fail"
+
+
 def test_messages_name_packages_that_an_extra_installs():
     """Those of an index: modalcam itself is on none."""
     extras = PROJECT["project"]["optional-dependencies"].values()
