@@ -16,12 +16,7 @@ FREQUENCY = (
     Column("frequency_sd_hz", "Hz", "its posterior standard deviation"),
 )
 FREQUENCY_INTERVAL = (
-    Column(
-        "frequency_q05_hz",
-        "Hz",
-        "5 % quantile of its posterior",
-        lambda mode: mode.frequency_interval_hz()[0],
-    ),
+    Column("frequency_q05_hz", "Hz", "5 % quantile", lambda mode: mode.frequency_interval_hz()[0]),
     Column("frequency_q95_hz", "Hz", "95 % quantile", lambda mode: mode.frequency_interval_hz()[1]),
 )
 DAMPING = (
@@ -29,9 +24,7 @@ DAMPING = (
     Column("damping_ratio_sd", "1", "its posterior standard deviation"),
 )
 DAMPING_INTERVAL = (
-    Column(
-        "damping_ratio_q05", "1", "5 % quantile of its posterior", lambda mode: mode.damping_interval()[0]
-    ),
+    Column("damping_ratio_q05", "1", "5 % quantile", lambda mode: mode.damping_interval()[0]),
     Column("damping_ratio_q95", "1", "95 % quantile", lambda mode: mode.damping_interval()[1]),
 )
 SMALL_FREQUENCY = (

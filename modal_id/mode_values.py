@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtri
 
-from tracker import Column, ComplexArray, FloatArray
+from modal_id.columns import DAMPING, FREQUENCY
+from tracker import Column, ComplexArray, FloatArray, data_frame, dataset
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
     from matplotlib.axes import Axes
 
 # Separates the random stream of the frame rate from those of modes and ensembles.
@@ -123,16 +125,18 @@ class Posterior(Table):
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per draw: ensemble, frequency_hz, damping_ratio."""
-        import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
-
         ensembles, draws = self.frequency_hz.shape
-        return pd.DataFrame(
-            {
-                "ensemble": np.repeat(np.arange(ensembles), draws),
-                "frequency_hz": self.frequency_hz.ravel(),
-                "damping_ratio": self.damping_ratio.ravel(),
-            }
-        )
+        values = {
+            "ensemble": np.repeat(np.arange(ensembles), draws),
+            "frequency_hz": self.frequency_hz.ravel(),
+            "damping_ratio": self.damping_ratio.ravel(),
+        }
+        return data_frame(values, (*FREQUENCY, *DAMPING))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The draws over chain, an ensemble, and draw, as ArviZ takes them; ImportError without xarray."""
+        given = {one.name: (one.of(self), {"units": one.unit}) for one in (FREQUENCY[0], DAMPING[0])}
+        return dataset({name: (("chain", "draw"), *value) for name, value in given.items()})
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draws of frequency and damping ratio as a scatter plot."""
@@ -254,10 +258,6 @@ def axes_or_new(ax: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1]
 
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-
 _UNIT = "unit"
 # Each an array of shape (f, k) of a `FrequencyResponse`; the rows of a table are its channels one after the other.
 RESPONSE_COLUMNS = (
@@ -272,12 +272,7 @@ RESPONSE_COLUMNS = (
     Column("magnitude", _UNIT, "its modulus", lambda r: np.abs(r.model)),
     Column("magnitude_q05", _UNIT, "5 % quantile of the modulus, from the uncertainty of all parameters"),
     Column("magnitude_q95", _UNIT, "95 % quantile"),
-    Column(
-        "local_real",
-        _UNIT,
-        "real part of the local-polynomial estimate, without modes",
-        lambda r: r.local.real,
-    ),
+    Column("local_real", _UNIT, "real part of the estimate without modes", lambda r: r.local.real),
     Column("local_imaginary", _UNIT, "its imaginary part", lambda r: r.local.imag),
     Column("local_sd", _UNIT, "standard deviation of each part, from the scatter about the polynomial"),
     Column("coherence", "1", "squared coherence of the output with the input in windows of 13 bins"),
@@ -334,9 +329,21 @@ class FrequencyResponse(Table):
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row for each channel and frequency."""
-        import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
+        values = {one.name: np.asarray(one.of(self)).T.ravel() for one in RESPONSE_COLUMNS}
+        units = {one.name: self.unit if one.unit == _UNIT else one.unit for one in RESPONSE_COLUMNS}
+        return data_frame(values, units)
 
-        return pd.DataFrame({one.name: np.asarray(one.of(self)).T.ravel() for one in RESPONSE_COLUMNS})
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Modulus over frequency: of the modes with its 90 % interval, and of the estimate without modes as dots."""
+        axes = axes_or_new(ax)
+        for k, channel in enumerate(self.channels):
+            (line,) = axes.semilogy(self.frequency_hz, np.abs(self.model[:, k]), label=channel)
+            interval = self.magnitude_q05[:, k], self.magnitude_q95[:, k]
+            axes.fill_between(self.frequency_hz, *interval, alpha=0.3, color=line.get_color())
+            axes.plot(self.frequency_hz, np.abs(self.local[:, k]), ".", markersize=2, color=line.get_color())
+        axes.set(xlabel="frequency (Hz)", ylabel=f"response to {self.input_name} ({self.unit})")
+        axes.legend()
+        return axes
 
     def __repr__(self) -> str:
         low, high = self.frequency_hz[[0, -1]]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtri
 
-from modal_id.columns import FLAGS, IDENTITY, OF_MODE, OF_RECORD
+from modal_id.columns import FLAGS, IDENTITY, MODE_COLUMNS, OF_MODE, OF_RECORD
 from modal_id.flags import ModeFlag
 
 # Values of a mode and parts of the record are results too; packages that use results import them from here.
@@ -21,7 +21,7 @@ from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.record import FittingRate, Onset, Segment
-from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, table_row
+from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, data_frame, table_row
 
 # The series is part of an identification; packages that use results import it from here.
 from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
@@ -438,13 +438,11 @@ class FittedMode:
 def _frame(
     modes: tuple[IdentifiedMode | DrivenMotion, ...], found: Identification | None = None
 ) -> pd.DataFrame:
-    import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
-
     columns: dict[str, Any] = {column.name: [column.of(mode) for mode in modes] for column in OF_MODE}
     if found is not None:
         columns |= table_row(OF_RECORD, found)
     columns[FLAGS.name] = [FLAGS.of(mode) for mode in modes]
-    return pd.DataFrame(columns).astype({IDENTITY[0].name: "Int64"})
+    return data_frame(columns, MODE_COLUMNS).astype({IDENTITY[0].name: "Int64"})
 
 
 def _central(draws: FloatArray, level: float) -> tuple[float, float]:

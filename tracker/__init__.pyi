@@ -8,6 +8,8 @@ from .arrays import IntArray as IntArray
 from .checks import Failure as Failure
 from .checks import checked as checked
 from .columns import Column as Column
+from .columns import data_frame as data_frame
+from .columns import dataset as dataset
 from .columns import table_row as table_row
 from .displacement import displacement_series as displacement_series
 from .displacement import misleading_lost_markers as misleading_lost_markers

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -36,3 +40,23 @@ class Column:
 def table_row(columns: Iterable[Column], row: object) -> dict[str, Any]:
     """Values of a row by the names of the columns."""
     return {column.name: column.of(row) for column in columns}
+
+
+def data_frame(values: Any, units: Iterable[Column] | Mapping[str, str]) -> pd.DataFrame:
+    """Table of `values`; ``attrs["units"]`` has the unit of each column, or the name of the column that holds it."""
+    import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
+
+    table = pd.DataFrame(values)
+    named = units if isinstance(units, Mapping) else {column.name: column.unit for column in units}
+    table.attrs["units"] = {name: unit for name, unit in named.items() if unit and name in table}
+    return table
+
+
+def dataset(*parts: Mapping[str, Any]) -> xarray.Dataset:
+    """Dataset of variables, coordinates and attributes; ImportError that names xarray where it is absent."""
+    try:
+        import xarray  # noqa: PLC0415 - optional
+    except ImportError as error:
+        msg = "to_xarray needs xarray; install it with pip install xarray"
+        raise ImportError(msg) from error
+    return xarray.Dataset(*parts)

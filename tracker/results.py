@@ -6,8 +6,10 @@ Missing values are NaN. Every position has a standard deviation.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from tracker.arrays import FlagArray, FloatArray, IntArray
 from tracker.checks import Failure
-from tracker.columns import Column, table_row
+from tracker.columns import Column, data_frame, dataset, table_row
 from tracker.flags import format_flags
 from tracker.geometry import Lens, PlaneMap, Positions, Scale, TimeAxis, median_over_time, rectified
 from tracker.position_errors import PositionErrors
@@ -24,6 +26,7 @@ from tracker.sep005 import fields_of, signals_of
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -148,8 +151,27 @@ class FrameStrip:
     shrink: float
 
 
+class _Facts(ABC):
+    """Display of a result by a few facts, as text and in notebooks."""
+
+    @abstractmethod
+    def _facts(self) -> dict[str, str]:
+        """Names and values."""
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in self._facts().items())})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self._facts().items()
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
 @dataclass(frozen=True, repr=False)
-class MarkerTracks:
+class MarkerTracks(_Facts):
     """Positions of all markers in all frames of one recording.
 
     Attributes
@@ -261,14 +283,12 @@ class MarkerTracks:
 
     def tables(self, frames_each: int) -> Iterator[pd.DataFrame]:
         """The table of `to_dataframe` in parts of `frames_each` frames: whole, it takes several times the memory."""
-        import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
-
         mm = self.positions("mm")
         text = {int(value): format_flags(int(value)) for value in np.unique(self.flags)}
         columns = TRACK_COLUMNS if self.correlation_xy is None else (*TRACK_COLUMNS, CORRELATION_COLUMN)
         for first in range(0, max(self.frame.size, 1), frames_each):
             part = _Part(self, mm, slice(first, first + frames_each), text)
-            yield pd.DataFrame(table_row(columns, part))
+            yield data_frame(table_row(columns, part), columns)
 
     def plot(self, ax: Any = None) -> Any:
         """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""
@@ -276,13 +296,7 @@ class MarkerTracks:
         seen = self.positions(unit)
         motion = {"x": seen.x - median_over_time(seen.x), "y": seen.y - median_over_time(seen.y)}
         lines = {f"{name} {c}": motion[c][:, k] for k, name in enumerate(self.markers) for c in motion}
-        return _plot_lines(ax, self.time_s, lines, f"position about the median / {unit}")
-
-    def __repr__(self) -> str:
-        return _short_repr("MarkerTracks", self._facts())
-
-    def _repr_html_(self) -> str:
-        return _html_table(f"Tracks of {self.recording}", self._facts())
+        return _plot_lines(ax, self.time_s, lines, f"position about the median ({unit})")
 
     def _facts(self) -> dict[str, str]:
         found = np.isfinite(self.x_px)
@@ -334,7 +348,7 @@ class KnownInput:
 
 
 @dataclass(frozen=True, repr=False)
-class DisplacementSeries:
+class DisplacementSeries(_Facts):
     """Displacements of k channels at n times: the input from which `modal_id` identifies modes.
 
     Attributes
@@ -420,24 +434,27 @@ class DisplacementSeries:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Wide table of ``time_s``, ``<channel>_<unit>`` and ``sd_<channel>_<unit>``; NaN where missing."""
-        import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
-
         columns: dict[str, FloatArray] = {"time_s": self.time_s}
         for k, channel in enumerate(self.channels):
             columns[f"{channel}_{self.unit}"] = self.values[:, k]
             columns[f"sd_{channel}_{self.unit}"] = self.sd[:, k]
-        return pd.DataFrame(columns)
+        return data_frame(columns, {**dict.fromkeys(columns, self.unit), "time_s": "s"})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """``series`` and ``sd`` over time and channel, with their units; ImportError without xarray."""
+        dims, of_unit = ("time", "channel"), {"units": self.unit}
+        places = {
+            "time": ("time", self.time_s, {"units": "s"}),
+            "channel": list(self.channels),
+            "position": ("channel", self.positions_mm, {"units": "mm"}),
+        }
+        arrays = {"series": (dims, self.values, of_unit), "sd": (dims, self.sd, of_unit)}
+        return dataset(arrays, places, {"recording": self.name})
 
     def plot(self, ax: Any = None) -> Any:
         """Displacement of each channel over time; returns the matplotlib Axes."""
         lines = {channel: self.values[:, k] for k, channel in enumerate(self.channels)}
-        return _plot_lines(ax, self.time_s, lines, f"displacement / {self.unit}")
-
-    def __repr__(self) -> str:
-        return _short_repr("DisplacementSeries", self._facts())
-
-    def _repr_html_(self) -> str:
-        return _html_table(f"Displacement of {self.name}", self._facts())
+        return _plot_lines(ax, self.time_s, lines, f"displacement ({self.unit})")
 
     def _facts(self) -> dict[str, str]:
         largest = np.nanmax(np.abs(self.values)) if np.isfinite(self.values).any() else np.nan
@@ -457,18 +474,6 @@ def _plot_lines(ax: Any, time_s: FloatArray, lines: dict[str, FloatArray], label
         ax = plt.figure().add_subplot()
     for name, values in lines.items():
         ax.plot(time_s, values, label=name, linewidth=0.8)
-    ax.set_xlabel("time / s")
-    ax.set_ylabel(label)
+    ax.set(xlabel="time (s)", ylabel=label)
     ax.legend(fontsize="small")
     return ax
-
-
-def _short_repr(name: str, facts: dict[str, str]) -> str:
-    return f"{name}({', '.join(f'{key}={value}' for key, value in facts.items())})"
-
-
-def _html_table(title: str, facts: dict[str, str]) -> str:
-    from html import escape  # noqa: PLC0415 - notebooks only
-
-    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in facts.items())
-    return f"<table><caption>{escape(title)}</caption>{rows}</table>"

@@ -15,13 +15,7 @@ from tracker import flags
 from tracker.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from tracker.checks import Failure
 from tracker.follow import FollowedFrames, Follower, Progress, follow_recording, repeated_frames
-from tracker.geometry import (
-    SizedMarker,
-    TimeAxis,
-    median_over_time,
-    resolve_scale,
-    resolve_time_axis,
-)
+from tracker.geometry import SizedMarker, TimeAxis, median_over_time, resolve_scale, resolve_time_axis
 from tracker.markers import (
     FoundMarkers,
     FrameFollower,

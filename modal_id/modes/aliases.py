@@ -15,7 +15,7 @@ from modal_id.flags import ModeFlag
 from modal_id.mode_values import Table, axes_or_new
 from modal_id.results import Identification, IdentifiedMode
 from modal_id.solve import Problem, gauss_newton, objective, pole
-from tracker import BoolArray, Column, FloatArray, checked, table_row
+from tracker import BoolArray, Column, FloatArray, checked, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -244,10 +244,8 @@ class Aliases(Table):
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per line and frequency: the columns of ``aliases.csv``."""
-        import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
-
-        rows = [table_row(ALIAS_COLUMNS, (line, alias)) for line in self.lines for alias in line.aliases]
-        return pd.DataFrame(rows, columns=pd.Index([column.name for column in ALIAS_COLUMNS]))
+        rows = [(line, alias) for line in self.lines for alias in line.aliases]
+        return data_frame({one.name: [one.of(row) for row in rows] for one in ALIAS_COLUMNS}, ALIAS_COLUMNS)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Probability of each frequency, one colour a line."""

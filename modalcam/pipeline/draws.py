@@ -11,6 +11,7 @@ import numpy as np
 from modal_id import DAMPING, FREQUENCY, Identification, IdentifiedMode
 from modalcam import __version__
 from modalcam.common import shown
+from tracker import dataset
 
 if TYPE_CHECKING:
     import xarray
@@ -110,12 +111,7 @@ def _observed(found: Identification) -> dict[str, GroupVariable]:
 
 def data_tree(recordings: Iterable[RecordingResult]) -> xarray.DataTree:
     """Tree with a node for each recording in which modes were identified, of the groups of `posterior_groups`."""
-    try:
-        import xarray as xr  # noqa: PLC0415 - optional
-    except ImportError as error:
-        msg = "to_xarray needs xarray; install it with pip install xarray"
-        raise ImportError(msg) from error
-    nodes = {}
+    nodes = {"/": dataset()}
     for recording in recordings:
         found = recording.identified
         if found is None or not found.modes:
@@ -130,5 +126,7 @@ def data_tree(recordings: Iterable[RecordingResult]) -> xarray.DataTree:
                 for name, v in given.items()
             }
             coordinates = {name for name, v in given.items() if name in v.dims or name == "mode_number"}
-            nodes[f"{recording.name}/{group}"] = xr.Dataset(arrays, attrs=attrs).set_coords(coordinates)
-    return xr.DataTree.from_dict(nodes)
+            nodes[f"{recording.name}/{group}"] = dataset(arrays, {}, attrs).set_coords(coordinates)
+    from xarray import DataTree  # noqa: PLC0415 - optional
+
+    return DataTree.from_dict(nodes)

@@ -20,7 +20,7 @@ from sim.beam.properties import (
     PointMass,
 )
 from sim.beam.statics import static_equilibrium
-from tracker import FloatArray, checked
+from tracker import FloatArray, checked, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,9 +75,8 @@ class BeamModes:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Columns ``mode`` and ``frequency_hz``, one row per mode."""
-        import pandas as pd  # noqa: PLC0415
-
-        return pd.DataFrame({"mode": np.arange(1, self.count + 1), "frequency_hz": self.frequency_hz})
+        values = {"mode": np.arange(1, self.count + 1), "frequency_hz": self.frequency_hz}
+        return data_frame(values, {"frequency_hz": "Hz"})
 
     def plot(self, ax: Any = None) -> Any:
         """Shapes along the beam, scaled to 1 at their largest displacement; returns the matplotlib Axes."""

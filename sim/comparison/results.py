@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import ScoreSum
 from sim.damping import DAMPING_MODELS, SD_OF_90
-from tracker import Column, FloatArray, table_row
+from tracker import Column, FloatArray, data_frame, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -176,9 +176,7 @@ class DecayComparison:
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per damping model, with the columns of ``comparison.csv``."""
-        import pandas as pd  # noqa: PLC0415
-
-        return pd.DataFrame(self.rows())
+        return data_frame(self.rows(), COMPARISON_COLUMNS)
 
     def plot(self, ax: Any = None) -> Any:
         """Measured and simulated decay of the channel that moves most; returns the matplotlib Axes."""

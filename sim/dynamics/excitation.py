@@ -33,7 +33,7 @@ from sim.dynamics.simulate import (
     longest_step_s,
     simulate,
 )
-from tracker import ComplexArray, FloatArray
+from tracker import ComplexArray, FloatArray, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -271,9 +271,8 @@ class FreeDecay:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Columns ``time_s`` and ``tip_mm``, one row per step."""
-        import pandas as pd  # noqa: PLC0415
-
-        return pd.DataFrame({"time_s": self.time_s, "tip_mm": self.tip_mm})
+        values = {"time_s": self.time_s, "tip_mm": self.tip_mm}
+        return data_frame(values, {"time_s": "s", "tip_mm": "mm"})
 
     def plot(self, ax: Any = None) -> Any:
         """Tip displacement against time; returns the matplotlib Axes."""

@@ -27,7 +27,7 @@ from sim.dynamics.forces import Air, Axial
 from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
 from sim.dynamics.modal_terms import ModalTerms, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
-from tracker import Failure, FloatArray, checked
+from tracker import Failure, FloatArray, checked, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,19 +115,16 @@ class Trajectory:
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per time and point: ``time_s, position_mm, x_mm, y_mm, angle_rad, transverse_mm``."""
-        import pandas as pd  # noqa: PLC0415
-
         n, k = self.x_m.shape
-        return pd.DataFrame(
-            {
-                "time_s": np.repeat(self.time_s, k),
-                "position_mm": np.tile(1e3 * self.positions_m, n),
-                "x_mm": 1e3 * self.x_m.ravel(),
-                "y_mm": 1e3 * self.y_m.ravel(),
-                "angle_rad": self.angle_rad.ravel(),
-                "transverse_mm": 1e3 * self.transverse_m.ravel(),
-            }
-        )
+        values = {
+            "time_s": np.repeat(self.time_s, k),
+            "position_mm": np.tile(1e3 * self.positions_m, n),
+            "x_mm": 1e3 * self.x_m.ravel(),
+            "y_mm": 1e3 * self.y_m.ravel(),
+            "angle_rad": self.angle_rad.ravel(),
+            "transverse_mm": 1e3 * self.transverse_m.ravel(),
+        }
+        return data_frame(values, {name: name.rpartition("_")[2] for name in values})
 
     def plot(self, ax: Any = None) -> Any:
         """Transverse displacement of each point against time; returns the matplotlib Axes."""

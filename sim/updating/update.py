@@ -19,7 +19,7 @@ from sim.updating.measured_modes import TUNING as MEASURED
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.point_mass import PointMassPosterior, find_point_mass
 from sim.updating.posterior import SmoothPrior
-from tracker import Column, Failure, FloatArray, IntArray, table_row
+from tracker import Column, Failure, FloatArray, IntArray, data_frame, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -169,9 +169,7 @@ class Updating:
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per measured mode, with the columns of ``updating.csv``."""
-        import pandas as pd  # noqa: PLC0415
-
-        return pd.DataFrame(self.rows())
+        return data_frame(self.rows(), UPDATING_COLUMNS)
 
     def plot(self, ax: Any = None) -> Any:
         """Relative error of each frequency before and after updating; returns the matplotlib Axes."""

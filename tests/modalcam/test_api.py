@@ -12,6 +12,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from support.paths import ROOT, SAMPLES
 
 import modalcam as mc
@@ -58,6 +59,40 @@ def test_the_readme_example_finds_the_sample(readme):
     assert abs(found.frequency_hz - wanted["frequency_hz"]) < 5 * found.frequency_sd_hz
     assert abs(found.damping_ratio - wanted["damping_ratio"]) < 5 * found.damping_ratio_sd
     assert output == f"{found.frequency_hz:.2f} Hz, damping ratio {100 * found.damping_ratio:.2f} %\n"
+
+
+@pytest.fixture(scope="module")
+def results(readme):
+    """One result of each public function of the way from film to simulation."""
+    found, beam = readme[0]["found"], readme[0]["beam"]
+    decay = mc.simulate(beam, 0.01, tip_amplitude_mm=1.0, duration_s=0.1)
+    modes = mc.modes(beam, 2), decay, decay.trajectory
+    return readme[0]["tracks"], found.series, found, found.target, found.target.posterior, *modes
+
+
+def test_results_are_shown_briefly_and_state_their_units(results):
+    """A name that ends in a unit says what the attributes must say."""
+    units = {"s": "s", "hz": "Hz", "mm": "mm", "px": "px", "rad": "rad", "ratio": "1"}
+    for result in results:
+        assert len(repr(result)) < 500
+        assert result._repr_html_().count("<tr") <= 12, "of a long table, ten rows"
+        table = result.to_dataframe()
+        named = {name: units[end] for name in table if (end := name.rpartition("_")[2]) in units}
+        assert named
+        assert table.attrs["units"].items() >= named.items()
+        axes = result.plot(Figure().add_subplot())
+        drawn = [label for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+        assert len(drawn) == 2 or not axes.get_yticks().size, "a histogram has no scale"
+        assert all(re.search(r"\((s|Hz|mm)\)|ratio|shape", label) for label in drawn)
+
+
+def test_series_and_draws_are_datasets(results):
+    xr = pytest.importorskip("xarray", reason="the extra modalcam[xarray] is not installed")
+    series, posterior = results[1].to_xarray(), results[4].to_xarray()
+    np.testing.assert_array_equal(series["sd"].sel(channel="m6"), results[1].sd[:, 5])
+    assert (series["series"].attrs, series["time"].attrs) == ({"units": "mm"}, {"units": "s"})
+    np.testing.assert_array_equal(posterior["damping_ratio"].sel(chain=1), results[4].damping_ratio[1])
+    assert isinstance(posterior, xr.Dataset)
 
 
 @pytest.mark.parametrize("name", ["tracker.py", "modal_id.py", "sim/__init__.py"])

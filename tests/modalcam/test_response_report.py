@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from support.worker_tasks import InThisProcess
 from typer.testing import CliRunner
 
@@ -108,6 +109,11 @@ def test_the_interface_gives_the_response(out):
     assert list(own.columns) == list(table.columns)
     # The table rounds its input to nine digits.
     np.testing.assert_allclose(own.magnitude, table.magnitude, rtol=1e-4)
+    assert own.attrs["units"]["magnitude"] == response.unit
+    axes = response.plot(Figure().add_subplot())
+    drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
+    np.testing.assert_array_equal(drawn[response.channels[1]], np.abs(response.model[:, 1]))
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency (Hz)", "response to input (1)")
 
 
 @pytest.mark.usefixtures("in_process", "no_figures")

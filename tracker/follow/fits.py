@@ -12,14 +12,7 @@ import numpy as np
 from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.batch import LIMITS, LastSeen, MarkerArrays
-from tracker.register import (
-    Camera,
-    MarkerModel,
-    acceptable,
-    contrast_state,
-    kernel,
-    register,
-)
+from tracker.register import Camera, MarkerModel, acceptable, contrast_state, kernel, register
 from tracker.template import BlurBank, Template, is_blur, seen_from_marker
 
 

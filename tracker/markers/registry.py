@@ -10,13 +10,7 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
 from tracker.markers.assignment import leaving_out
 from tracker.markers.dots import DOT
-from tracker.markers.kind import (
-    DetectionSettings,
-    FoundMarkers,
-    MarkerDetector,
-    MarkerKind,
-    NothingFound,
-)
+from tracker.markers.kind import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
 from tracker.markers.line import LINE
 from tracker.markers.patch import PATCH
 

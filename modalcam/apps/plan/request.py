@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modal_id import DAMPING
+from modal_id import DAMPING, FREQUENCY
 from modalcam.apps.film import rendered_markers
 from modalcam.common import ConfigError, shown
 from modalcam.config import BeamConfig, ExperimentConfig, PlanConfig, RecordingConfig, beam_properties
 from sim import MEASURED_DAMPING_RATIO
 from sim.beam import BeamProperties
 from sim.render import Camera, Marker
-from tracker import Failure, FloatArray
+from tracker import Failure, FloatArray, data_frame
 from tracker.markers import AUTO_KIND, kind_of
 
 if TYPE_CHECKING:
@@ -370,8 +370,6 @@ class Plan:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Predictions, a row a mode; standard deviations, not half-widths of intervals."""
-        import pandas as pd  # noqa: PLC0415 - slow to load
-
         trials = {t.mode: t for t in self.trials}
         rows = []
         for m in self.modes:
@@ -392,7 +390,10 @@ class Plan:
                 row["identified"] = trials[m.number].identified
                 row["damping_ratio_spread"] = trials[m.number].damping_spread
             rows.append(row)
-        return pd.DataFrame(rows).set_index("mode")
+        units = {"fps": "1/s", "decay_s": "s", "tip_amplitude_mm": "mm", "largest_amplitude_px": "px"}
+        return data_frame(rows, {one.name: one.unit for one in (*FREQUENCY, *DAMPING)} | units).set_index(
+            "mode"
+        )
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Assumed damping ratios with their predicted 90 % intervals over frequency."""

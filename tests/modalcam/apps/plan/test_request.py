@@ -69,7 +69,9 @@ def test_the_readme_example_can_be_planned(tmp_path):
     assert [m.number for m in found.modes] == [1, 2, 3, 4, 5]
     assert {m.planned.fps for m in found.modes} == {float(config.camera.fps)}
     assert found.to_dataframe().shape[0] == 5
-    assert list(found.to_dataframe().index) == [1, 2, 3, 4, 5]
+    table = found.to_dataframe()
+    assert list(table.index) == [1, 2, 3, 4, 5]
+    assert table.attrs["units"].items() >= {"frequency_sd_hz": "Hz", "decay_s": "s"}.items()
     assert "mode 5" in repr(found)
     assert "\n" not in repr(found)
     assert "<table" in found._repr_html_()
