@@ -1,6 +1,9 @@
-"""Every code block of the documents is valid: commands parse, configurations are accepted, Python compiles."""
+"""Every code block of the documents is valid: commands parse, configurations are accepted, Python runs or compiles."""
 
+import ast
+import contextlib
 import importlib
+import io
 import re
 import runpy
 import shlex
@@ -8,12 +11,19 @@ import subprocess
 import sys
 import tomllib
 
+import numpy as np
 import pytest
 import typer
+from kit.series import decay
 from support.paths import APPS, COMMANDS_OF_APPS, ROOT
 
+import modalcam as mc
+from benchmarks.known_input_scenes import FREQUENCIES_HZ, record
+from modal_id import ModeFlag
 from modalcam.cli import app
+from modalcam.common import ExitCode
 from modalcam.config import ExperimentConfig
+from tracker import REGISTRY
 
 PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 FOLDERS = sorted({path.parent for name in PACKAGES for path in (ROOT / name).rglob("*.py")})
@@ -79,7 +89,7 @@ def test_other_blocks_are_valid():
     for name, language, text in blocks():
         if language == "toml":
             tree = tomllib.loads(text)
-            if name in ("README.md", "docs/tutorial.md"):
+            if name != "docs/extending.md":  # options of plugins
                 ExperimentConfig.model_validate(tree)
         elif language == "python":
             compile(text, name, "exec")
@@ -91,18 +101,73 @@ def test_other_blocks_are_valid():
     assert known > 15
 
 
-@pytest.mark.skipif(not APPS, reason="modalcam/apps was deleted")
-def test_the_reference_of_commands_is_up_to_date():
-    made = runpy.run_path(str(ROOT / "docs" / "cli.py"))["markdown"]()
-    assert (ROOT / "docs" / "cli.md").read_text(encoding="utf-8") == made, "run python docs/cli.py"
+def test_python_of_the_guides_runs():
+    """On the response to a random base motion, and on a mode of 128 Hz filmed at two rates."""
+    one, printed = record("random", 11), io.StringIO()
+    names = {"mc": mc, "t": one.time_s, "y": one.values, "base": one.base}
+    for name, fps in (("slow", 250.0), ("fast", 400.0)):
+        time_s, noise = np.arange(400) / fps, 0.01 * np.random.default_rng(1).standard_normal(400)
+        names |= {f"t_{name}": time_s, f"y_{name}": decay(time_s, 128.0, 0.0025) + noise}
+    with contextlib.redirect_stdout(printed):
+        for name, language, text in blocks():
+            if (name, language) == ("docs/howto.md", "python"):
+                exec(compile(text, name, "exec"), names)  # noqa: S102 - our own guide
+    assert abs(names["found"].modes[0].frequency_hz - FREQUENCIES_HZ[0]) < 0.01
+    assert re.search(r"series 1: 128 Hz .* not 122 Hz", printed.getvalue())
+
+
+def test_the_page_of_the_notebook_is_up_to_date(tmp_path):
+    """Its code, its words, and what its cells show."""
+    made = runpy.run_path(str(ROOT / "docs" / "notebook.py"))
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in made["cells"]())
+    page = (ROOT / "docs" / "notebook.md").read_text(encoding="utf-8")
+    assert page == made["markdown"](tmp_path), "run python docs/notebook.py"
+    assert set(re.findall(r"notebook_\d\.png", page)) == {path.name for path in tmp_path.iterdir()}
+
+
+def messages():
+    """Texts of the sources, with … where a value is put in."""
+    for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*.py")):
+        nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+        documentation = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        for node in nodes:
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(part.value if isinstance(part, ast.Constant) else "…" for part in node.values)
+            elif isinstance(node, ast.Constant) and id(node) not in documentation:
+                yield str(node.value)
+
+
+def test_questions_quote_what_the_program_says():
+    headings = re.findall(r"^### (.*)", (ROOT / "docs" / "faq.md").read_text(encoding="utf-8"), re.MULTILINE)
+    quoted = {text for heading in headings for text in re.findall(r"`([^`]+)`", heading)}
+    flags = {flag.name for flag in (*ModeFlag, *REGISTRY)}
+    assert flags <= quoted, "a flag without an answer"
+    said = "\n".join(messages())
+    unsaid = [text for text in quoted - flags if text not in said]
+    assert not unsaid, f"no source says {unsaid}"
+    codes = {int(code) for heading in headings for code in re.findall(r"[Ee]xit code (\d+)", heading)}
+    assert codes == {ExitCode.USAGE, ExitCode.NO_INPUT, ExitCode.PARTIAL}
 
 
 @pytest.mark.skipif(not APPS, reason="modalcam/apps was deleted")
-def test_the_table_of_folders_is_up_to_date():
-    made = runpy.run_path(str(ROOT / "docs" / "architecture.py"))["markdown"]()
-    assert (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8") == made, (
-        "run python docs/architecture.py"
-    )
+def test_commands_and_options_in_sentences_exist():
+    commands = typer.main.get_command(app).commands
+    parameters = [parameter for command in commands.values() for parameter in command.params]
+    named = (name for one in parameters for name in (*one.opts, *one.secondary_opts))
+    options = {"--help", "--no-nanny", *named}  # the second is of Dask's workers
+    # The studies have options of the benchmarks.
+    for path in (path for path in DOCS if path.parent.name != "studies"):
+        text = BLOCK.sub("", path.read_text(encoding="utf-8"))
+        named = {name for name in re.findall(r"`modalcam ([a-z][\w-]*)[^`]*`", text) if name not in commands}
+        named |= {name for name in re.findall(r"`(--[a-z][\w-]*)[^`]*`", text) if name not in options}
+        assert not named, f"{path.relative_to(ROOT)}: no {', '.join(sorted(named))}"
+
+
+@pytest.mark.skipif(not APPS, reason="modalcam/apps was deleted")
+@pytest.mark.parametrize("page", ["cli", "architecture"])
+def test_pages_of_commands_and_folders_are_up_to_date(page):
+    made = runpy.run_path(str(ROOT / "docs" / f"{page}.py"))["markdown"]()
+    assert (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") == made, f"run python docs/{page}.py"
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/theory.md"])
@@ -122,10 +187,22 @@ def test_entry_points_in_the_readme_of_a_folder_are_public(folder):
     assert not missing, f"{folder.name} has no {', '.join(missing)}"
 
 
+def anchors(path):
+    """Of the headings of a document, as GitHub and Sphinx name them."""
+    headings = re.findall(r"^#+ (.*)", BLOCK.sub("", path.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 def test_links_between_documents_lead_somewhere():
     for path in DOCS:
-        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", path.read_text(encoding="utf-8")):
-            assert (path.parent / target).exists(), f"{path.relative_to(ROOT)}: no {target}"
+        for target, anchor in re.findall(
+            r"\]\(([^)#:\s]*)(?:#([\w-]+))?\)", path.read_text(encoding="utf-8")
+        ):
+            found = path.parent / target if target else path
+            assert found.exists(), f"{path.relative_to(ROOT)}: no {target}"
+            assert not anchor or anchor in anchors(found), (
+                f"{path.relative_to(ROOT)}: no #{anchor} in {target}"
+            )
 
 
 @pytest.mark.slow

@@ -106,8 +106,7 @@ def test_damping_of_a_prong_agrees_with_other_analyses_and_is_as_uncertain_as_th
 
 
 @pytest.mark.parametrize(
-    ("prong", "frames"),
-    [*(pytest.param(prong, 3300, marks=pytest.mark.slow) for prong in PRONGS)],
+    ("prong", "frames"), [*(pytest.param(prong, 3300, marks=pytest.mark.slow) for prong in PRONGS)]
 )
 def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong, frames, tmp_path):
     """Windows above and below a prong's centre share no pixel, but their residuals share a part of 0.02 px.

@@ -17,10 +17,7 @@ LEFT, RIGHT = ((161.5, 415.0), (167.5, 65.0)), ((189.0, 415.0), (219.0, 74.0))
 WEIGHT_PX, WEIGHT_RATIO = 21.0, 1.0
 FPS, STATIONS = 250, 24
 
-pytestmark = [
-    pytest.mark.skipif(not CLIP.is_file(), reason=REALDATA_ABSENT),
-    pytest.mark.slow,
-]
+pytestmark = [pytest.mark.skipif(not CLIP.is_file(), reason=REALDATA_ABSENT), pytest.mark.slow]
 
 
 def first_mode(x, ratio):

@@ -9,13 +9,7 @@ import numpy as np
 from kit.identified import identified, identified_mode
 from kit.series import series_of
 from kit.tracks import decoded, tracks_of
-from modal_id import (
-    AmplitudeCurve,
-    AmplitudeDependence,
-    Check,
-    FailedMode,
-    Onset,
-)
+from modal_id import AmplitudeCurve, AmplitudeDependence, Check, FailedMode, Onset
 from modalcam.pipeline import BeamResult, RecordingResult, RunResult
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.beam import AncfBeam, beam_modes
@@ -31,14 +25,7 @@ from sim.comparison import (
 )
 from sim.damping import MeasuredDamping, beam_section, compare_laws
 from sim.updating import MeasuredModes, UpdatingSettings, update
-from tracker import (
-    BLURRED,
-    NOT_FOUND,
-    FailedTracking,
-    FrameStrip,
-    Scale,
-    TimeAxis,
-)
+from tracker import BLURRED, NOT_FOUND, FailedTracking, FrameStrip, Scale, TimeAxis
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 PLAYBACK = TimeAxis("container", Fraction(50), Fraction(50), ("The container says 50 fps.",))

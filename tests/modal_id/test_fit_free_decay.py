@@ -46,8 +46,7 @@ def test_a_frequency_that_grows_with_the_square_of_the_amplitude_has_its_shift(s
 def test_a_record_that_is_too_short_is_a_reason():
     short = series(wave(1.0, 10.0, 0.004))
     found = fit_free_decay(
-        replace(short, time_s=short.time_s[:5], values=short.values[:5], sd=short.sd[:5]),
-        max_modes=1,
+        replace(short, time_s=short.time_s[:5], values=short.values[:5], sd=short.sd[:5]), max_modes=1
     )
     assert isinstance(found, Failure)
     assert found.reason

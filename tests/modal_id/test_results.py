@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 import pytest
 from kit.identified import identification
 
@@ -41,7 +40,6 @@ def test_table_columns_match_modes_csv(found):
     assert unnumbered.to_dataframe()["flags"].tolist() == ["LOW_SNR|HARMONIC"]
     assert tuple(replace(found, modes=()).to_dataframe().columns) == tuple(table.columns)
     assert len(found.target.to_dataframe()) == 1
-    assert isinstance(found.target.posterior.to_dataframe(), pd.DataFrame)
 
 
 def test_plots_return_the_axes_they_draw_on(found):

@@ -113,11 +113,7 @@ def mode_of_summary(number, flags, severities=()):
 
 @pytest.mark.parametrize(
     ("severity", "strict", "code"),
-    [
-        ("WRONG", True, ExitCode.PARTIAL),
-        ("WRONG", False, ExitCode.OK),
-        ("INTERVAL", True, ExitCode.OK),
-    ],
+    [("WRONG", True, ExitCode.PARTIAL), ("WRONG", False, ExitCode.OK), ("INTERVAL", True, ExitCode.OK)],
 )
 def test_strict_fails_where_a_value_may_be_wrong_and_quiet_prints_no_table(tmp_path, severity, strict, code):
     mode = mode_of_summary(1, ["NOT_CONFIRMED"], [["NOT_CONFIRMED", severity]])

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from kit.tracks import tracks_of
 
-from tracker import (
-    Scale,
-    TrackerSettings,
-    displacement_series,
-    flags,
-    position_errors,
-)
+from tracker import Scale, TrackerSettings, displacement_series, flags, position_errors
 from tracker.geometry import resolve_scale
 from tracker.template import largest_sd, series_sd
 

@@ -24,11 +24,7 @@ FORK = REAL / "tuning_forks" / "tuning_hz32_fps1000_50-1_640x420.mp4"
     [
         # Fast: the same rate in test_patches.py, rendered.
         pytest.param(
-            "fork64_on_bricks_fps250",
-            ((456.0, 176.0), (554.0, 179.0)),
-            64.017,
-            888,
-            marks=pytest.mark.slow,
+            "fork64_on_bricks_fps250", ((456.0, 176.0), (554.0, 179.0)), 64.017, 888, marks=pytest.mark.slow
         ),
         *(
             pytest.param(

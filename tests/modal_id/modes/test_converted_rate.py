@@ -25,8 +25,7 @@ def one_mode(fps, frequency_hz, places, noise, seed):
 
 
 @pytest.mark.parametrize(
-    ("step", "ratio"),
-    [(5, 5 / 4), *(pytest.param(n, n / (n - 1), marks=pytest.mark.slow) for n in (10, 25))],
+    ("step", "ratio"), [(5, 5 / 4), *(pytest.param(n, n / (n - 1), marks=pytest.mark.slow) for n in (10, 25))]
 )
 def test_frames_left_out_are_recognised_and_side_bands_are_no_modes(step, ratio):
     places = np.arange(1500)

@@ -32,8 +32,7 @@ def test_p_values_are_uniform_where_the_model_is_true():
 
 
 @pytest.mark.parametrize(
-    ("what", "which"),
-    [("neighbour", LINE), ("memory", MEMORY), ("amplitude", SCORE), ("outliers", TAILS)],
+    ("what", "which"), [("neighbour", LINE), ("memory", MEMORY), ("amplitude", SCORE), ("outliers", TAILS)]
 )
 def test_a_wrong_model_is_detected(what, which):
     series, sd = one_mode(2, 1, duration_s=4.0, ar=0.5 if what == "memory" else 0.0)

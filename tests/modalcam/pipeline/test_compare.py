@@ -66,10 +66,7 @@ def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
     """A film is rendered beside the comparison, which may fail after it."""
     (recording,) = report_runs.paper_recordings(1)
     other = replace(recording, name="other")
-    ends = {
-        recording.name: report_runs.comparison(recording.identification),
-        "other": Failure("no", "other"),
-    }
+    ends = {recording.name: report_runs.comparison(recording.identification), "other": Failure("no", "other")}
 
     def both(context, recordings, *_):
         for one in recordings:

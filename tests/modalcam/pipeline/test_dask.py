@@ -103,8 +103,7 @@ def test_a_worker_without_access_to_the_folders_is_reported_first(address, tmp_p
     local = tmp_path / "only-local"
     with (
         pytest.raises(
-            IncompatibleWorkerError,
-            match=r"worker tcp://.* cannot read .*only-local; a cluster needs a file",
+            IncompatibleWorkerError, match=r"worker tcp://.* cannot read .*only-local; a cluster needs a file"
         ),
         cluster_pool(address, Limits(), out=tmp_path, folders=(local,)),
     ):

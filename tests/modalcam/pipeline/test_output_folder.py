@@ -6,15 +6,7 @@ from kit import attacks
 
 from modalcam.common import InputError, OutputError
 from modalcam.config import ExperimentConfig
-from modalcam.pipeline import (
-    Outputs,
-    RememberedHashes,
-    RunRecord,
-    Source,
-    Workspace,
-    replacing,
-    write_text,
-)
+from modalcam.pipeline import Outputs, RememberedHashes, RunRecord, Source, Workspace, replacing, write_text
 
 
 def test_a_run_record_is_read_back(tmp_path):

@@ -273,13 +273,7 @@ def test_a_report_from_the_series_alone(build):
 def test_a_report_without_uncertainties(build):
     nan = float("nan")
     good = runs.recording(0, seconds=1.0)
-    mode = replace(
-        good.identification.modes[0],
-        shape_sd=np.full(5, nan),
-        mac=nan,
-        number=None,
-        target=False,
-    )
+    mode = replace(good.identification.modes[0], shape_sd=np.full(5, nan), mac=nan, number=None, target=False)
     onset = replace(good.identification.onset, sd_s=nan)
     found = replace(good.identification, modes=(mode,), onset=onset, residual_sd=np.full(5, nan))
     assert_sound(build(runs.run_result([replace(good, identification=found, mode=None)])))

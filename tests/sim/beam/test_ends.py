@@ -35,12 +35,9 @@ def conditions(end, at, beta, sign):
             k * square / (STIFFNESS * beta**n) for k, n in ((end.rotary_inertia_kg_m2, 1), (end.mass_kg, 3))
         )
         return moment + sign * turn * slope, shear - sign * move * w
-    return {
-        "clamped": (w, slope),
-        "pinned": (w, moment),
-        "free": (moment, shear),
-        "guided": (slope, shear),
-    }[end]
+    return {"clamped": (w, slope), "pinned": (w, moment), "free": (moment, shear), "guided": (slope, shear)}[
+        end
+    ]
 
 
 def theory_hz(ends, count, length=BEAM.length_m):

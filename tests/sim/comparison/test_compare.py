@@ -80,12 +80,7 @@ def one_mode_fit(near_hz):
 @pytest.mark.parametrize(("number", "amplitude_mm"), [(1, 0.5), (2, 0.2), (3, 0.1), (4, 0.03), (5, 0.02)])
 def test_true_model_reproduces_a_linear_decay(modes, models, number, amplitude_mm):
     found = decay_of(modes, number, amplitude_mm, detune=1.0003)
-    result = compare_decay(
-        sample_beam(),
-        found,
-        models,
-        fit=one_mode_fit(modes.frequency_hz[number - 1]),
-    )
+    result = compare_decay(sample_beam(), found, models, fit=one_mode_fit(modes.frequency_hz[number - 1]))
     assert result, getattr(result, "reason", "")
     generic, rayleigh = result.models
     assert result.mode_number == number

@@ -73,10 +73,7 @@ def compared(modes, number, *, colour=0.0, seed=1):
         "rayleigh": Candidate(rayleigh),
     }
     result = compare_decay(
-        sample_beam(),
-        found,
-        candidates,
-        fit=lambda series: Failure("skipped in this test", series.name),
+        sample_beam(), found, candidates, fit=lambda series: Failure("skipped in this test", series.name)
     )
     assert result, getattr(result, "reason", "")
     return result

@@ -3,13 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from support.render_truth import (
-    centroid,
-    convex_pixel,
-    disc_pixel,
-    rectangle_corners,
-    still,
-)
+from support.render_truth import centroid, convex_pixel, disc_pixel, rectangle_corners, still
 
 from sim.render import (
     ArucoMarker,

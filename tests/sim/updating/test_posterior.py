@@ -247,9 +247,7 @@ def sixth_mode_of_a_beam_with_a_mass(position_m):
 
 
 @pytest.mark.parametrize(
-    "positions_m",
-    [(0.355,), pytest.param((0.1, 0.22, 0.355), marks=pytest.mark.slow)],
-    ids=("one", "three"),
+    "positions_m", [(0.355,), pytest.param((0.1, 0.22, 0.355), marks=pytest.mark.slow)], ids=("one", "three")
 )
 def test_discrepancy_reduces_overconfidence_from_model_error(positions_m):
     """An attached mass is not among the variables: the posterior alone is overconfident about mode 6.

@@ -43,11 +43,7 @@ def test_variables_of_the_paper_reach_the_measured_frequencies_at_their_bounds()
     found = update_like_paper(paper_beam(), MEASURED)
     np.testing.assert_allclose(found.updated_hz, FREQUENCY_HZ, rtol=1e-6)
     factors = np.concatenate(
-        [
-            found.width_factor,
-            found.thickness_factor,
-            [found.density_factor, found.elastic_modulus_factor],
-        ]
+        [found.width_factor, found.thickness_factor, [found.density_factor, found.elastic_modulus_factor]]
     )
     assert np.abs(factors - 1.0).max() <= 0.1 + 1e-12
     at = np.flatnonzero(np.abs(np.abs(factors - 1.0) - 0.1) < 1e-6)

@@ -9,11 +9,7 @@ from kit.lines import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene
 from tracker import flags
-from tracker.line import (
-    LINES,
-    ORDER,
-    LineFollower,
-)
+from tracker.line import LINES, ORDER, LineFollower
 from tracker.line import follower as line_follower
 from tracker.line import stations as line_kernels
 

@@ -20,15 +20,7 @@ def test_a_non_finite_start_gives_a_failed_fit(column: int, bad: float) -> None:
     start = np.array([20.0, 20.0, 0.0, -100.0, 160.0])
     start[column] = bad
     image = np.full((40, 40), 120, dtype=np.uint8)
-    result = register(
-        image,
-        start,
-        np.eye(2),
-        template,
-        CAMERA,
-        with_angle=False,
-        max_shift_px=4.0,
-    )
+    result = register(image, start, np.eye(2), template, CAMERA, with_angle=False, max_shift_px=4.0)
     assert result[kernel.CONVERGED] == 0.0, f"a start with {bad} in column {column} was reported as converged"
     assert np.all(np.isnan(result[:2])), "a failed fit has no position"
 

@@ -11,13 +11,7 @@ from kit import films as media
 from kit.camera_files import read
 
 from tracker import TrackerSettings, flags, track
-from tracker.video import (
-    ImageFolder,
-    TiffSource,
-    UnreadableVideoError,
-    image_series,
-    is_stack,
-)
+from tracker.video import ImageFolder, TiffSource, UnreadableVideoError, image_series, is_stack
 from tracker.video import source as limits
 
 BLOB = TrackerSettings(kind="blob", fps=Fraction(500))

@@ -2,13 +2,7 @@
 
 import numpy as np
 import pytest
-from kit.bars import (
-    CLAMPED_ROOTS,
-    bending_stiffness,
-    free_timoshenko,
-    sandwich_stiffness,
-    torsion_constant,
-)
+from kit.bars import CLAMPED_ROOTS, bending_stiffness, free_timoshenko, sandwich_stiffness, torsion_constant
 
 from modalcam.apps.material import (
     bar_modulus,

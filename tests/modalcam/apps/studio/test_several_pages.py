@@ -5,15 +5,7 @@ import tomllib
 import pytest
 from kit.films import write_decay
 from support.browser import NEEDS_CHROMIUM
-from support.studio import (
-    RUN_MS,
-    another_browser,
-    click_frame,
-    opened,
-    running_studio,
-    show,
-    targets,
-)
+from support.studio import RUN_MS, another_browser, click_frame, opened, running_studio, show, targets
 
 pytestmark = [
     NEEDS_CHROMIUM,

@@ -13,10 +13,7 @@ from support.studio import RUN_MS, answer, click_frame, opened, running_studio, 
 
 from modalcam.config import load_config
 
-pytestmark = [
-    NEEDS_CHROMIUM,
-    pytest.mark.timeout(600),
-]
+pytestmark = [NEEDS_CHROMIUM, pytest.mark.timeout(600)]
 
 
 def test_markers_set_by_clicks_are_saved(tmp_path):

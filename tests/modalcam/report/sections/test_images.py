@@ -29,10 +29,7 @@ def test_the_strip_shows_start_onset_largest_motion_and_end():
 
 def test_candidates_are_drawn_when_nothing_could_be_tracked():
     failed = FailedTracking(
-        "dark",
-        "a",
-        first_frame=np.zeros((60, 80), np.uint8),
-        seen_px=np.array([[10.0, 20.0], [70.0, 30.0]]),
+        "dark", "a", first_frame=np.zeros((60, 80), np.uint8), seen_px=np.array([[10.0, 20.0], [70.0, 30.0]])
     )
     view = first_frame(failed)
     assert [(m.x, m.y, m.name, m.side) for m in view.marks] == [(10.0, 20.0, "1", 1), (70.0, 30.0, "2", -1)]
