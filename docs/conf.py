@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from modalcam import __version__
 
 project = "modalcam"
@@ -24,3 +26,15 @@ html_copy_source = False
 html_show_sphinx = False
 # The same sources give the same bytes.
 html_last_updated_fmt = None
+
+
+def _accessible(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+    """Captions of lists of pages have a level, and code that is wider than the page is scrolled by keys."""
+    for part in {"body", "furo_navigation_tree"} & context.keys():
+        leveled = context[part].replace('role="heading">', 'role="heading" aria-level="2">')
+        context[part] = leveled.replace("<pre>", '<pre tabindex="0">')
+
+
+def setup(app: Any) -> None:
+    """After the theme has made its list of pages."""
+    app.connect("html-page-context", _accessible, priority=900)

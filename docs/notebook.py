@@ -76,8 +76,9 @@ def _shown(text: str, names: dict[str, Any]) -> Iterator[str]:
     if value is not None:
         own = getattr(value, "_repr_html_", None)
         shown = own() if own else f"<pre>{escape(repr(value))}</pre>"
-        # The theme styles tables; the style of pandas holds blank lines, which end the block.
-        shown = re.sub(r"<style.*?</style>\n", "", shown, flags=re.DOTALL).replace(' border="1"', "")
+        # Tables are styled as those of the page; the style of pandas holds blank lines, which end the block.
+        shown = re.sub(r"<style.*?</style>\n", "", shown, flags=re.DOTALL)
+        shown = re.sub(r"<table[^>]*>", '<table class="docutils">', shown)
         yield f'<div class="output">\n{shown}\n</div>'
 
 

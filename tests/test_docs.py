@@ -155,17 +155,15 @@ def test_commands_and_options_in_sentences_exist():
     parameters = [parameter for command in commands.values() for parameter in command.params]
     named = (name for one in parameters for name in (*one.opts, *one.secondary_opts))
     options = {"--help", "--no-nanny", *named}  # the second is of Dask's workers
-    # The studies have options of the benchmarks.
-    for path in (path for path in DOCS if path.parent.name != "studies"):
+    for path in (path for path in DOCS if path.parent.name != "studies"):  # theirs are of the benchmarks
         text = BLOCK.sub("", path.read_text(encoding="utf-8"))
         named = {name for name in re.findall(r"`modalcam ([a-z][\w-]*)[^`]*`", text) if name not in commands}
         named |= {name for name in re.findall(r"`(--[a-z][\w-]*)[^`]*`", text) if name not in options}
         assert not named, f"{path.relative_to(ROOT)}: no {', '.join(sorted(named))}"
 
 
-@pytest.mark.skipif(not APPS, reason="modalcam/apps was deleted")
-@pytest.mark.parametrize("page", ["cli", "architecture"])
-def test_pages_of_commands_and_folders_are_up_to_date(page):
+@pytest.mark.parametrize("page", ["glossary", "cli", "architecture"][: None if APPS else 1])
+def test_pages_made_of_the_sources_are_up_to_date(page):
     made = runpy.run_path(str(ROOT / "docs" / f"{page}.py"))["markdown"]()
     assert (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") == made, f"run python docs/{page}.py"
 

@@ -1,7 +1,6 @@
-"""What the files of the distribution promise: dependencies, changelog fragments, the glossary, quick imports."""
+"""What the files of the distribution promise: dependencies, changelog fragments, version, quick imports."""
 
 import re
-import runpy
 import subprocess
 import sys
 import tomllib
@@ -9,6 +8,7 @@ import tomllib
 import pytest
 from support.paths import APPS, ROOT
 
+from modalcam import __version__
 from modalcam.plugins import load_apps
 from modalcam.tables import markdown
 
@@ -91,10 +91,9 @@ def test_the_columns_of_the_tables_are_up_to_date():
     assert page == markdown(), "run python docs/columns.py"
 
 
-def test_glossary_is_up_to_date():
-    made = runpy.run_path(str(ROOT / "docs" / "glossary.py"))["markdown"]()
-    page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    assert page == made, "run python docs/glossary.py"
+def test_the_version_is_the_same_everywhere():
+    assert PROJECT["project"]["version"] == __version__
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
