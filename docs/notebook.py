@@ -18,7 +18,7 @@ from typing import Any
 import matplotlib as mpl
 from PIL import Image
 
-_HERE = Path(__file__).parent
+_HERE = Path(__file__).resolve().parent
 _STYLE = {"figure.figsize": (7.0, 2.8), "figure.dpi": 110, "figure.constrained_layout.use": True}
 _LINK = "{download}`Download the notebook <notebook.ipynb>`; it runs in `docs/` of a copy of the repository."
 
