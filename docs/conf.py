@@ -29,10 +29,14 @@ html_last_updated_fmt = None
 
 
 def _accessible(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
-    """Captions of lists of pages have a level, and code that is wider than the page is scrolled by keys."""
+    """Captions of lists of pages have a level; code and tables that are wider than the page are scrolled by keys."""
     for part in {"body", "furo_navigation_tree"} & context.keys():
-        leveled = context[part].replace('role="heading">', 'role="heading" aria-level="2">')
-        context[part] = leveled.replace("<pre>", '<pre tabindex="0">')
+        for tag, with_attribute in (
+            ('role="heading">', 'role="heading" aria-level="2">'),
+            ("<pre>", '<pre tabindex="0">'),
+            ('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper'),
+        ):
+            context[part] = context[part].replace(tag, with_attribute)
 
 
 def setup(app: Any) -> None:
