@@ -1,6 +1,7 @@
 """What the files of the distribution promise: dependencies, changelog fragments, version, quick imports."""
 
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
