@@ -158,13 +158,13 @@ def modes_in(
 ) -> tuple[IdentifiedMode, ...]:
     (path,) = folder.glob(pattern)
     time_s, acceleration_g = np.load(path)
-    onset_s = None
+    onset_s = end_s = None
     if between_s is not None:
-        # already in free decay: clipped samples are missing
+        # one free decay; clipped samples are missing
         inside = (time_s >= between_s[0]) & (time_s < between_s[1])
         time_s, acceleration_g = time_s[inside], acceleration_g[inside]
         acceleration_g = np.where(np.abs(acceleration_g) > _CLIP_G, np.nan, acceleration_g)
-        onset_s = float(time_s[0])
+        onset_s, end_s = float(time_s[0]), float(time_s[-1])
     values = acceleration_g[::every, None]
     series = DisplacementSeries(
         name=path.name,
@@ -177,7 +177,9 @@ def modes_in(
     )
     found = identify(
         series,
-        IdentifySettings(max_modes=max_modes, target_frequency_hz=target_frequency_hz, onset_s=onset_s),
+        IdentifySettings(
+            max_modes=max_modes, target_frequency_hz=target_frequency_hz, onset_s=onset_s, end_s=end_s
+        ),
     )
     return found.modes if found else ()
 

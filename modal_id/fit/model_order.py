@@ -316,16 +316,23 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     variance = rough_variance(data)
     start = solve_linear(Problem(data, line), no_columns(data.time_s))
     excluded: list[Band] = []
+    # Where samples are missing, such as the tops of a clipped wave, the highest line of a spectrum may be an overtone.
+    overtones = (1, 2, 3, 5) if np.any(data.weights == 0.0) else (1,)
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
             break
-        bandwidth = bandwidth_hz(found[0].frequency_hz)
-        problem = Problem(data, baseline_splines(data.time_s, bandwidth))
-        for candidate in found:
+        fits = []
+        for candidate in [replace(c, frequency_hz=c.frequency_hz / n) for c in found for n in overtones]:
+            bandwidth = bandwidth_hz(candidate.frequency_hz)
+            problem = Problem(data, baseline_splines(data.time_s, bandwidth))
             fit = fit_poles(problem, start_pole(candidate), search=True)
             if _is_plausible(complex(fit.poles[0]), candidate, data):
-                return ModalFit(problem, fit, bandwidth)
+                fits.append(ModalFit(problem, fit, bandwidth))
+                if overtones == (1,):
+                    break
+        if fits:
+            return min(fits, key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
     damped = fit_damped(data, start.residual, lowest_hz)
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
@@ -392,12 +399,20 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
 
 
 def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
-    """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs."""
+    """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs.
+
+    Modes that move give way to a line that explains more alone: of a clipped wave, overtones may have come first.
+    """
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
-    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > TUNING.most_moved
-    return None if np.any(moved) or strength[-1] < TUNING.relative_floor * np.max(strength) else joint
+    if np.any(moved):
+        joint = refit(model, np.concatenate([fit.poles[~moved], line]), model.data, search=True)
+        gain = np.sum((fit.linear.rss - joint.fit.linear.rss) / fit.linear.noise_variance)
+        if not (joint.fit.converged and gain > 0.0):
+            return None
+    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
+    return None if strength[-1] < TUNING.relative_floor * np.max(strength) else joint
 
 
 def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:

@@ -37,7 +37,9 @@ def test_look_alikes_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tm
 
 # in the fast suite: such a ball is followed (test_patch), little decay is identified (test_little_decay)
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a weak line in a part of the record is taken for a faster motion: refused")
+@pytest.mark.xfail(
+    strict=True, reason="a weak line in a part of the record is taken for a faster motion: refused"
+)
 def test_a_ball_that_leaves_its_first_window_by_far(tmp_path):
     """600 frames of a pendulum that keeps 95 % of its amplitude."""
     # The ball reaches from column 137 to 503.
