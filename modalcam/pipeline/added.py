@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from modalcam.pipeline.results import RecordingResult
     from modalcam.pipeline.stage import Context, Stage
     from sim.beam import BeamProperties
     from sim.damping import MeasuredDamping
 
-Beside = Literal["updating", "simulating"]
+Beside = Literal["updating", "simulating", "run"]
 
 
 @dataclass(frozen=True)
@@ -25,24 +24,25 @@ class UpdatedBeam:
 
 @dataclass(frozen=True)
 class AddedStage:
-    """A stage with one result for each recording, kept in `RecordingResult.added` under the name of its file.
+    """A stage with one result for each recording or for the run, kept in their `added` under the name of its file.
 
     Attributes
     ----------
     stage : Stage
         Its `function` runs in a worker process.
-    beside : {"updating", "simulating"}
+    beside : {"updating", "simulating", "run"}
         The stage of the core that it runs beside. One beside "updating" runs in every run, with or without a beam; one
         beside "simulating" needs the updated beam, and its result is dropped where the comparison of its recording
-        fails.
+        fails. One beside "run" runs after all others and has one result.
     inputs : callable
-        From the context of the run, a recording and the updated beam, which is None beside "updating": the arguments of
-        the stage's function, or None where the recording has no result. Called in the main process.
+        From the context of the run, a recording, or beside "run" the `RunResult`, and the updated beam, which is given
+        beside "simulating" only: the arguments of the stage's function, or None for no result. Called in the main
+        process.
     """
 
     stage: Stage[Any]
     beside: Beside
-    inputs: Callable[[Context, RecordingResult, UpdatedBeam | None], Mapping[str, Any] | None]
+    inputs: Callable[[Context, Any, UpdatedBeam | None], Mapping[str, Any] | None]
 
 
 # By the file of their stage.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from modalcam.config import dump_config
+from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.beam import beam_theory, update_beam
 from modalcam.pipeline.compare import compare_recordings
 from modalcam.pipeline.identify import identify_recordings
@@ -57,9 +58,13 @@ def simulate(context: Context, measured: Measured, record: RunRecord) -> tuple[R
         versions=record.versions,
         command_line=record.command_line,
         seed=record.seed,
-        internal_errors=context.pool.internal_errors,
     )
-    return result, record
+    added = {
+        one.stage.file: one.stage.once(context, **given)
+        for one in added_stages("run")
+        if (given := one.inputs(context, result, None)) is not None
+    }
+    return replace(result, added=added, internal_errors=context.pool.internal_errors), record
 
 
 def completed(record: RunRecord, context: Context, recordings: Sequence[RecordingResult]) -> RunRecord:

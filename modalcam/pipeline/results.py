@@ -137,6 +137,8 @@ class RunResult:
         The configuration as resolved, in TOML.
     internal_errors : int
         Tasks that failed because of an error in the program.
+    added : mapping of str to result
+        Those of the stages beside "run", by the name of the stage's file.
     """
 
     folder: str
@@ -148,6 +150,7 @@ class RunResult:
     command_line: str
     seed: int
     internal_errors: int = 0
+    added: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def saved(cls, load: Callable[[], dict[str, Any]], **fields: Any) -> RunResult:

@@ -52,6 +52,7 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
         return {
             "recordings": tuple(load_recording(workspace, record, source) for source in record.sources),
             "beam": _result(workspace, record, RUN, "updating"),
+            "added": {f: r for f in ADDED_STAGES if (r := _result(workspace, record, RUN, f)) is not None},
             "resolved_config": dump_config(record.config),
         }
 

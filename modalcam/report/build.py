@@ -38,6 +38,7 @@ from modalcam.report.sections import (
     PASSED,
     SECTIONS,
     TUNING,
+    added_sections,
     alerts,
     detail_for,
     findings,
@@ -128,6 +129,7 @@ def build_report(
         "explained": sorted(explained),
         "r_hat_limit": TUNING.r_hat,
         "sections": list(SECTIONS.values()),
+        "run_sections": added_sections(result, cache),
     }
     return unbroken(_templates().get_template("report.html.j2").render(page))
 

@@ -87,7 +87,7 @@ def markdown() -> str:
         "",
         "[Files of a run](files.md) explains the tables. NaN, or an empty cell, is a value that is not known.",
     ]
-    for table, columns in {**TABLES, **REGISTERED}.items():
+    for table, columns in {**TABLES, **{name: one.columns for name, one in REGISTERED.items()}}.items():
         lines += ["", f"## `{table}`", "", "| column | unit | meaning |", "| --- | --- | --- |"]
         lines += [f"| `{one.name}` | {one.unit} | {one.text} |" for one in columns]
     return "\n".join(lines) + "\n"

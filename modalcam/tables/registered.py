@@ -5,14 +5,31 @@ In a module of its own: a run that is up to date loads plugins, but not the resu
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
 from tracker import Column
 
-#: Columns of each table that is registered, by the name of its file.
-REGISTERED: dict[str, tuple[Column, ...]] = {}
+if TYPE_CHECKING:
+    from modalcam.pipeline import RunResult
 
 
-def register_table(name: str, columns: tuple[Column, ...]) -> None:
-    """Add the columns of a table that an app or a plugin writes; ValueError if another one has registered the name."""
-    if REGISTERED.setdefault(name, columns) is not columns:
+@dataclass(frozen=True)
+class RegisteredTable:
+    """Columns of a table; of one that a run writes where it has rows, what it holds and its rows."""
+
+    columns: tuple[Column, ...]
+    about: str = ""
+    rows: Callable[[RunResult], Sequence[dict[str, Any]]] | None = None
+
+
+#: Each table by the name of its file.
+REGISTERED: dict[str, RegisteredTable] = {}
+
+
+def register_table(name: str, *table: Any) -> None:
+    """Add a table of an app or a plugin by the fields of `RegisteredTable`; ValueError if another one has the name."""
+    if REGISTERED.setdefault(name, made := RegisteredTable(*table)) != made:
         msg = f"a table named {name!r} is registered already; choose another name"
         raise ValueError(msg)

@@ -13,6 +13,7 @@ from modalcam.pipeline import RunResult, Workspace
 from modalcam.tables import csv_files as tables
 from modalcam.tables import first_frame, netcdf, response, shapes, uff, workbook
 from modalcam.tables.base import Output, Writer
+from modalcam.tables.registered import REGISTERED
 from modalcam.tables.summary import CONFIG, SUMMARY
 
 # In the order in which they are written.
@@ -46,8 +47,13 @@ def register_writer(writer: Writer) -> None:
 
 
 def outputs(workspace: Workspace, result: RunResult, config: ExperimentConfig) -> Iterator[Output]:
-    """Files of all formats whose libraries are installed."""
-    for writer in WRITERS.values():
+    """Files of all formats whose libraries are installed, then registered tables that have rows."""
+    added = (
+        tables.table_writer(name.removesuffix(".csv"), one.about, one.rows, one.columns)
+        for name, one in REGISTERED.items()
+        if one.rows is not None and one.rows(result)
+    )
+    for writer in (*WRITERS.values(), *added):
         if not writer.missing:
             for output in writer.outputs(workspace, result, config):
                 yield replace(output, about=writer.description)

@@ -16,6 +16,7 @@ from .recording import moving_shape as moving_shape
 from .recording import recording_view as recording_view
 from .section import SECTIONS as SECTIONS
 from .section import Section as Section
+from .section import added_sections as added_sections
 from .section import register_section as register_section
 from .updating import updating_numbers as updating_numbers
 from .updating import updating_rows as updating_rows

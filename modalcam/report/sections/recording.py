@@ -13,7 +13,7 @@ from modalcam.pipeline import Cache, RecordingResult
 from modalcam.report.figures import MOST_POINTS, RecordingSubject, figures_of, shape_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import first_frame, named_among, strip
-from modalcam.report.sections.section import SECTIONS, Section
+from modalcam.report.sections.section import SECTIONS, added_sections
 from modalcam.report.signals import main_modes, nrmse_of_fit, shown_mode
 from modalcam.report.style import mode_name, sentence
 from sim.beam import BeamModes
@@ -137,7 +137,7 @@ def recording_view(
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
         "moving": moving_shape(subject) if detail.figures else None,
-        "sections": _sections(recording, cache) if detail.diagnostics else [],
+        "sections": added_sections(recording, cache) if detail.diagnostics else [],
     }
 
 
@@ -165,12 +165,6 @@ def _segments(found: Identification) -> list[tuple[Segment, str]]:
         note = sentence(segment.note)
         out.append((segment, "" if any(note == earlier for _, earlier in out) else note))
     return out
-
-
-def _sections(recording: RecordingResult, cache: Cache | None) -> list[tuple[Section, dict[str, Any]]]:
-    """Sections that apps and plugins add, each with its variables."""
-    views = ((section, section.variables(recording, cache)) for section in SECTIONS.values())
-    return [(section, view) for section, view in views if view is not None]
 
 
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:

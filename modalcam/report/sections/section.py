@@ -1,4 +1,4 @@
-"""Sections that an app or a plugin adds to what the report shows of a recording."""
+"""Sections that an app or a plugin adds to what the report shows of a recording, or of the run."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from modalcam.pipeline import RunResult
+
 if TYPE_CHECKING:
     from modalcam.pipeline import Cache, RecordingResult
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of each recording's article in the report, after its figures.
+    """A part of each recording's article in the report, after its figures; with a `title`, one of the run.
 
     Attributes
     ----------
@@ -23,18 +25,22 @@ class Section:
         anchor, `r`, all variables of the recording, and the macros `part` and `say` of the report.
     variables : callable
         From a recording and the cache of the report, or None, to the variables; None where nothing is to be shown. Not
-        called in a report of more than 12 recordings, which has no diagnostic figures.
+        called in a report of more than 12 recordings, which has no diagnostic figures. With a title, from the result of
+        the run, in every report.
     notes : callable or None
         From a recording to sentences for its list of notes.
     reading : tuple of (str, str)
         Title and text on how to read the section, once in the page; empty without.
+    title : str
+        Of a section of the run, which follows "Model updating", has no `r` and no notes, and is in the contents.
     """
 
     name: str
     package: str
-    variables: Callable[[RecordingResult, Cache | None], dict[str, Any] | None]
+    variables: Callable[[Any, Cache | None], dict[str, Any] | None]
     notes: Callable[[RecordingResult], Iterable[str]] | None = None
     reading: tuple[str, str] | tuple[()] = ()
+    title: str = ""
 
     @property
     def template(self) -> str:
@@ -50,3 +56,12 @@ def register_section(section: Section) -> None:
     if SECTIONS.setdefault(section.name, section) is not section:
         msg = f"a section named {section.name!r} is registered already; choose another name"
         raise ValueError(msg)
+
+
+def added_sections(
+    of: RecordingResult | RunResult, cache: Cache | None
+) -> list[tuple[Section, dict[str, Any]]]:
+    """Sections of a recording, or of the run, that show something, each with its variables."""
+    shown = (one for one in SECTIONS.values() if bool(one.title) == isinstance(of, RunResult))
+    views = ((section, section.variables(of, cache)) for section in shown)
+    return [(section, view) for section, view in views if view is not None]

@@ -221,7 +221,7 @@ def test_results_have_short_reprs_and_are_loaded_on_first_use():
 
     def load():
         loads.append(1)
-        return {"recordings": (failed,), "beam": None}
+        return {"recordings": (failed,), "beam": None, "added": {}}
 
     fields = {"not_done": (), "resolved_config": "", "versions": (), "command_line": "", "seed": 0}
     run = RunResult.saved(load, folder="videos", **fields)

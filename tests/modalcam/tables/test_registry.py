@@ -4,6 +4,8 @@ import builtins
 import importlib.util
 import json
 import runpy
+from dataclasses import replace
+from unittest import mock
 
 import pytest
 from kit.identified import identification_of
@@ -85,13 +87,20 @@ def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
     assert len(json.loads((tmp_path / "summary.json").read_text())["recordings"]) == 1
 
 
-def test_a_registered_table_has_a_name_of_its_own(monkeypatch):
+def test_a_registered_table_has_a_name_of_its_own_and_is_written_where_it_has_rows(tmp_path, result):
     load_apps("plugin")
     assert not REGISTERED.keys() & TABLES.keys()
-    monkeypatch.setattr("modalcam.tables.registered.REGISTERED", {})
-    register_table("x.csv", (Column("a", "", "one"),))
-    with pytest.raises(ValueError, match="registered already"):
-        register_table("x.csv", (Column("b", "", "another"),))
+    one = (Column("a", "", "one"),)
+    with mock.patch.dict(REGISTERED):
+        register_table("x.csv", one)
+        with pytest.raises(ValueError, match="registered already"):
+            register_table("x.csv", (Column("b", "", "another"),))
+        register_table("y.csv", one, "names", lambda run: [{"a": each.name} for each in run.recordings])
+        without = outputs(Workspace(tmp_path), replace(result, recordings=()), ExperimentConfig())
+        assert not {"x.csv", "y.csv"} & {output.path.name for output in without}
+        *_, last = outputs(Workspace(tmp_path), result, ExperimentConfig())
+    last.write(tmp_path / "y.csv")
+    assert ((tmp_path / "y.csv").read_text(), last.path.name, last.about) == ("a\ntake\n", "y.csv", "names")
 
 
 def test_columns_of_other_tables_are_found_by_their_names(monkeypatch):
