@@ -236,14 +236,23 @@ class BeamConfig(Options):
     length_mm: Length | None = Field(
         default=None, description="Free length from the clamp to the tip.", examples=[500.0]
     )
+    length_sd_mm: NonNegative | None = Field(
+        default=None, description="Its standard deviation, for the interval of the modulus.", examples=[0.5]
+    )
     width_mm: Length | None = Field(default=None, description="Width of the cross-section.", examples=[5.0])
     thickness_mm: Length | None = Field(
         default=None,
         description="Thickness of the cross-section, in the direction of bending.",
         examples=[0.5],
     )
+    thickness_sd_mm: NonNegative | None = Field(
+        default=None, description="Standard deviation of its mean along the beam.", examples=[0.005]
+    )
     density_kg_m3: Positive | None = Field(
         default=None, description="Mass density of the material.", examples=[8000.0]
+    )
+    density_sd_kg_m3: NonNegative | None = Field(
+        default=None, description="Its standard deviation.", examples=[40.0]
     )
     elastic_modulus_mpa: Positive | None = Field(
         default=None, description="Young's modulus.", examples=[210000.0]

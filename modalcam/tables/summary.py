@@ -66,6 +66,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "beam": result.beam and _beam(result.beam),
         "updating": updating_rows(result),
         **{table: law_rows(table, result) for table in LAW_TABLES},
+        **result.added,
         "not_done": result.not_done,
     }
     return dict(jsonable(tree))

@@ -185,7 +185,7 @@ def _small(mode: IdentifiedMode, flag: str) -> str:
     if flag != ModeFlag.AMPLITUDE_DEPENDENT.name:
         return ""
     value, sd = mode.small_amplitude_damping
-    return f", at small amplitude {value:.4g} (sd {sd:.2g})"
+    return f", damping ratio at small amplitude {value:.4g} (sd {sd:.2g})"
 
 
 def _provenance(result: RunResult, measured: tuple[MeasuredMode, ...]) -> Iterator[str]:

@@ -134,8 +134,8 @@ def without_sd(specimen: Specimen, *modes: Iterable[BarMode]) -> Iterator[str]:
         names.append("some frequencies or damping ratios")
     if names:
         yield (
-            f"Without a standard deviation: {', '.join(names)}. What is computed from these has no interval; give them "
-            "as VALUE+-SD, with +-0 where they are exact."
+            f"Moduli and other values that are computed from {', '.join(names)} have no interval, since these have no "
+            "standard deviation: set length_sd_mm, thickness_sd_mm and density_sd_kg_m3 in [beam], or give VALUE+-SD."
         )
 
 

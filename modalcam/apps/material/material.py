@@ -99,7 +99,7 @@ def material(
     unused = [f"Mode {m.number} ({m.frequency_hz.value:.4g} Hz) is not used." for m in left]
     flags = [f"Mode {m.number}: {remark}." for m in modes for remark in m.remarks]
     flags += [f"Bare bar, mode {m.number}: {remark}." for m in base for remark in m.remarks]
-    notes = (*notes, *unused, *flags, *without_sd(specimen, modes, base))
+    notes = (*without_sd(specimen, modes, base), *notes, *unused, *flags)
     return Material(specimen, tuple(values), tuple(conditions(specimen, modes, values)), notes)
 
 

@@ -10,11 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from modalcam.apps.material.material import Material
-from modalcam.apps.material.plugin import MATERIAL_COLUMNS
+from modalcam.apps.material.plugin import MATERIAL_COLUMNS, material_rows
 from modalcam.common import for_terminal
 from modalcam.report.style import interval, with_sd
 from modalcam.tables import write_table
-from tracker import table_row
 
 
 def show(found: Material, console: Console) -> None:
@@ -42,6 +41,5 @@ def show(found: Material, console: Console) -> None:
 
 def write_csv(found: Material, path: Path) -> None:
     """Write ``material.csv``, one row a value."""
-    rows = [table_row(MATERIAL_COLUMNS, row) for row in found.values]
     columns = pd.Index([column.name for column in MATERIAL_COLUMNS])
-    write_table(path, [pd.DataFrame(rows, columns=columns).fillna({"mode": ""})])
+    write_table(path, [pd.DataFrame(material_rows(found), columns=columns)])

@@ -1,9 +1,21 @@
-"""The columns of ``material.csv``, for the registry of tables: a plugin in the sense of `modalcam.plugins`."""
+"""What this app adds to a run: the moduli of its bar, ``material.csv`` and a section of the report.
+
+A plugin in the sense of `modalcam.plugins`; each process of a run loads this module, so that it imports little.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from modalcam.pipeline import AddedStage, Stage, register_stage
+from modalcam.report.sections import Section, register_section
 from modalcam.tables import register_table
-from tracker import Column
+from tracker import Column, Failure, table_row
+
+if TYPE_CHECKING:
+    from modalcam.apps.material.material import Material
+    from modalcam.pipeline import Context, RunResult
 
 MATERIAL_COLUMNS = (
     Column(
@@ -27,4 +39,43 @@ MATERIAL_COLUMNS = (
     Column("equations", "", "standards whose equations were used"),
     Column("remarks", "", "flags of the mode, joined by a vertical bar"),
 )
-register_table("material.csv", MATERIAL_COLUMNS)
+
+
+def material_rows(found: Material) -> list[dict[str, Any]]:
+    """Rows of ``material.csv``."""
+    rows = (table_row(MATERIAL_COLUMNS, one) for one in found.values)
+    return [row | {"mode": "" if row["mode"] is None else row["mode"]} for row in rows]
+
+
+def compute(**given: Any) -> Material:
+    """As `modalcam.apps.material.material`."""
+    from modalcam.apps.material.material import material  # noqa: PLC0415 - workers only
+
+    return material(**given)
+
+
+def _inputs(_: Context, result: RunResult, __: object) -> Mapping[str, Any] | None:
+    from modalcam.apps.material.run import of_run  # noqa: PLC0415 - of a run that is not up to date
+
+    return of_run(result)
+
+
+def _rows(result: RunResult) -> list[dict[str, Any]]:
+    found = result.added.get("material")
+    return material_rows(found) if found else []
+
+
+def _view(result: RunResult, _: object) -> dict[str, Any] | None:
+    return {"found": result.added["material"]} if "material" in result.added else None
+
+
+_CODE = ("tracker", "modal_id", "sim", "modalcam.apps.material")
+COMPUTING = Stage("moduli of the material", "material", _CODE, compute, lambda _, reason: Failure(reason))
+register_stage(AddedStage(COMPUTING, "run", _inputs))
+register_section(Section("material", "modalcam.apps.material", _view, title="Material"))
+register_table(
+    "material.csv",
+    MATERIAL_COLUMNS,
+    "only of a clamped bar with numbered modes: moduli and loss factors by the equations of ASTM E756",
+    _rows,
+)

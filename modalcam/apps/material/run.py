@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,25 @@ def modes_of(result: RunResult) -> tuple[tuple[BarMode, ...], tuple[str, ...]]:
     return tuple(modes), tuple(f"Left out: {one}." for one in found.left_out)
 
 
+def sizes_of(result: RunResult) -> dict[str, Quantity]:
+    """Length, width, thickness and density of ``[beam]`` of a run, each with its standard deviation where given."""
+    beam = tomllib.loads(result.resolved_config).get("beam", {})
+    names = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
+    return {n: Quantity(beam[n], beam.get(n.replace("_", "_sd_", 1), np.nan)) for n in names if n in beam}
+
+
+def of_run(result: RunResult) -> dict[str, Any] | None:
+    """Arguments of `material` for the beam of a run; None unless one end is clamped and modes have numbers."""
+    if result.beam is None or result.beam.standard.ends != ("clamped", "free"):
+        return None
+    try:
+        modes, notes = modes_of(result)
+    except InputError:
+        return None
+    beam, specimen = result.beam.standard, Specimen("bar", **sizes_of(result))
+    return {"specimen": specimen, "modes": modes, "beam": beam, "notes": notes, "seed": result.seed}
+
+
 _Modes = tuple[Path | None, Sequence[str]]
 
 
@@ -39,8 +59,8 @@ def request(
 ) -> dict[str, Any]:
     """Arguments of `material` from the words of the command: values, and a run or modes of specimen and bare bar.
 
-    What is not given comes from ``[beam]`` of the bar's run, without a standard deviation. InputError if both or
-    neither of a run and modes are given, or something cannot be read.
+    What is not given comes from ``[beam]`` of the bar's run. InputError if both or neither of a run and modes are
+    given, or something cannot be read.
     """
     read = {n: quantity(text, f"--{n.replace('_', '-')}") for n, text in sizes.items() if text is not None}
     result, modes, notes = _modes(of, "OUT", "--mode", plugins)
@@ -52,12 +72,11 @@ def request(
         msg = f"--base and --base-mode: expected only with --specimen {', '.join(LAYERED)}; found {kind}"
         raise InputError(msg)
     beam = bar.beam.standard if bar and bar.beam else None
-    if beam:
-        sides = {"length_mm": 1e3 * beam.length_m, "density_kg_m3": beam.density_kg_m3}
-        sides |= {f"{n}_mm": 1e3 * float(np.mean(getattr(beam, f"{n}_m"))) for n in ("width", "thickness")}
+    if bar and beam:
+        sizes_of_run = sizes_of(bar)
         if "mass_g" in read:
-            del sides["density_kg_m3"]
-        read = {name: Quantity(value) for name, value in sides.items()} | read
+            del sizes_of_run["density_kg_m3"]
+        read = sizes_of_run | read
     return {
         "specimen": Specimen(cast("Kind", kind), **read),
         "modes": modes,

@@ -1,9 +1,14 @@
 """Intervals, conditions, runs and words of the command."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from kit.bars import bending_stiffness, sandwich_stiffness
+from kit.runs import beam_result, paper_recordings, run_result
+from support.paths import ROOT
 from typer.testing import CliRunner
 
 from modalcam.apps.material import (
@@ -18,10 +23,14 @@ from modalcam.apps.material import (
     material,
     modes_of,
     oberst_layer,
+    of_run,
 )
 from modalcam.cli import app
 from modalcam.common import InputError
 from modalcam.pipeline import load_run
+from modalcam.report import build_report
+from modalcam.report.style import interval
+from modalcam.tables import REGISTERED
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
 from sim.beam import AncfBeam, BeamProperties, PointMass, beam_modes
 
@@ -188,6 +197,58 @@ def test_the_samples_have_the_moduli_and_loss_factors_of_the_truth(samples_run):
     assert within >= 7, "of ten 90 % intervals, fewer hold the truth with a probability of 0.013"
     states = {c.text.partition(":")[0]: c.state for c in found.conditions}
     assert states["Gravity, point masses and the clamp of [beam] are negligible"] == "does not hold"
+
+
+def test_a_run_writes_the_moduli_of_its_bar_without_an_interval(samples_run):
+    table = pd.read_csv(samples_run / "material.csv").set_index(["quantity", "mode"])
+    assert list(table.loc["E"].index) == [1, 2, 3, 4, 5]
+    sizes = {"length_m": 0.5, "thickness_m": 0.5e-3, "density_kg_m3": 8000.0}
+    for number, row in table.loc["E"].iterrows():
+        assert row.value == pytest.approx(
+            1e-9 * float(bar_modulus(row.frequency_hz, number, **sizes)), rel=1e-12
+        )
+    assert table.loc["E", ["sd", "q05", "q95"]].isna().all(axis=None), "[beam] has no standard deviations"
+    assert (table.loc["loss_factor", "sd"] > 0.0).all()
+    assert f"| `material.csv` | {REGISTERED['material.csv'].about} |" in (
+        ROOT / "docs" / "files.md"
+    ).read_text("utf-8")
+
+
+SDS = "length_sd_mm = 1.0\nthickness_sd_mm = 0.005\ndensity_sd_kg_m3 = 0.0\n"
+
+
+@pytest.mark.parametrize("sds", ["", SDS], ids=["no sd", "sd"])
+def test_the_section_of_the_report_has_intervals_where_beam_has_standard_deviations(sds):
+    beam = f"[beam]\nlength_mm = 500.0\nwidth_mm = 5.0\nthickness_mm = 0.5\ndensity_kg_m3 = 8000.0\n{sds}"
+    run = run_result(paper_recordings(2), beam=beam_result(), resolved_config=beam)
+    found = material(**of_run(run))
+    page = build_report(replace(run, added={"material": found}), plots="static")
+    section = re.search(r'<div class="anchor" id="material">.*?</details>', page, re.DOTALL)[0]
+    assert '<a href="#material">Material</a>' in page
+    assert "computed with the equations of ASTM E756-05(2017)" in section
+    assert "conform" not in section
+    for state in ("Holds.", "Does not hold.", "Not known."):
+        assert section.count(f"<strong>{state}</strong>") == sum(
+            f"{c.state}." == state.lower() for c in found.conditions
+        )
+    e, eta = of(found, "E", 2), of(found, "loss_factor", 2)
+    assert f'<data value="{e.value}">' in section
+    assert interval(eta.q05, eta.q95, eta.sd) in section
+    assert ("set length_sd_mm, thickness_sd_mm and density_sd_kg_m3 in [beam]" in section) == (not sds)
+    if sds:
+        assert interval(e.q05, e.q95, e.sd) in section
+        # dE/E = 4 dl/l - 2 dH/H, and 3 sd of the standard deviation of 20 000 draws
+        assert e.sd / e.value == pytest.approx(np.hypot(4.0 / 500.0, 2.0 * 0.01), rel=3.0 / np.sqrt(40_000))
+        assert f"thickness, {100 * e.share:.0f}" in section.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_only_a_clamped_bar_with_numbered_modes_has_moduli():
+    """Without the material there is neither section nor link, and no table."""
+    run = run_result(paper_recordings(2), beam=beam_result())
+    held = replace(run.beam, standard=replace(run.beam.standard, ends=("clamped", "clamped")))
+    for none in (replace(run, beam=None), replace(run, beam=held), replace(run, recordings=())):
+        assert of_run(none) is None
+    assert "#material" not in build_report(run, plots="static")
 
 
 def test_a_layer_from_two_runs(samples_run, tmp_path):
