@@ -104,7 +104,8 @@ def departures(beam: BeamProperties, specimen: Specimen, moduli_pa: dict[int, fl
     """Relative error of the modulus of each mode by what the equations leave out: gravity, point masses, elastic clamp.
 
     The beam with these has, at the modulus sought, the frequency that one without them has at the modulus found; both
-    are computed on one mesh with the dimensions of the specimen. NaN for a standing beam that would buckle.
+    are computed on one mesh with the dimensions of the specimen. NaN for a standing beam that would buckle; nothing of
+    modes that the mesh does not have.
     """
     sizes = {name: value.value for name, value in specimen.given().items()}
     bare = BeamProperties.uniform(
@@ -118,8 +119,9 @@ def departures(beam: BeamProperties, specimen: Specimen, moduli_pa: dict[int, fl
     )
     names = ("orientation", "point_masses", "gravity_m_s2", "angle_deg", "clamp", "ends", "tension_n")
     full = replace(bare, **{name: getattr(beam, name) for name in names})
-    slope = beam_modes(AncfBeam(bare), max(moduli_pa)).omega_rad_s ** 2
-    return {n: _departure(full, n, e, float(slope[n - 1])) for n, e in moduli_pa.items()}
+    of_mesh = {n: e for n, e in moduli_pa.items() if n <= 2 * beam.elements}
+    slope = beam_modes(AncfBeam(bare), max(of_mesh, default=1)).omega_rad_s ** 2
+    return {n: _departure(full, n, e, float(slope[n - 1])) for n, e in of_mesh.items()}
 
 
 def _departure(beam: BeamProperties, number: int, modulus_pa: float, slope: float) -> float:
