@@ -61,11 +61,14 @@ def test_each_law_makes_a_model_with_its_damping_ratios(key):
 
 
 def check_named(rows):
-    """Where the probability exceeds 0.9, the law named is the right one in 90 % of the sets."""
+    """Where the probability exceeds 0.9, the law named is right in 90 % of the sets, and as often as stated."""
     sure = [(true, best) for true, best, probability in rows if probability > SURE]
     right = np.mean([true == best for true, best in sure])
     assert len(sure) > len(rows) / 4, f"only {len(sure)} of {len(rows)} sets decide"
     assert right >= 0.9, f"{right:.3f} of {len(sure)} sets name the right law"
+    stated = np.array([probability for *_, probability in rows if probability > SURE])
+    allowed = 3.0 * np.sqrt(np.sum(stated * (1.0 - stated))) / stated.size
+    assert abs(right - stated.mean()) < allowed, f"{right:.4f} are right, {stated.mean():.4f} stated (3 sd)"
     return sure
 
 
