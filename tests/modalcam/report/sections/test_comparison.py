@@ -1,5 +1,6 @@
 """Section on damping models: best model, failures of the others, aerodynamic drag."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from modalcam.report import build_report
 from modalcam.report.sections import findings, worst_ratios
 from modalcam.report.style import environment, significant, thousands
 from sim.comparison import DragFit, DragLimit, ScoreSum
-from sim.damping import DAMPING_MODELS, DampingModelEntry, register_damping_model
+from sim.damping import DAMPING_MODELS, DampingModelEntry, compare_laws, register_damping_model
 from tracker import Failure
 
 
@@ -158,6 +159,21 @@ def test_damping_laws_are_listed_with_the_prediction_of_each_mode_and_the_parts(
         name = DAMPING_MODELS[laws.keys[int(np.argmax(by_mode[:, k]))]].name
         assert f"mode {number} agrees best with {name} (" in words
     assert "Viscous air (%)" in words
+
+
+def test_two_laws_of_one_evidence_are_named_together():
+    """Ratios that follow no frequency: a value for each mode, by whatever curve between the modes."""
+    beam = runs.beam_result(elements=6)
+    irregular = replace(
+        beam.laws.measured, damping_ratio=(3e-3, 3e-2, 3e-4, 1e-2, 8e-4), damping_sd=(1e-6,) * 5
+    )
+    words = laws_shown(replace(beam, laws=compare_laws(irregular)))
+    assert (
+        "Of 18 laws, generic damping or Caughey damping, which differ between the modes only, is the most"
+        in words
+    )
+    assert float(re.search(r"most probable \(([\d.]+) %\), with odds of", words)[1]) > 99
+    assert "do not decide" not in words
 
 
 def test_too_few_modes_for_laws_are_named():
