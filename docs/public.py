@@ -69,7 +69,7 @@ def _configuration() -> Iterator[str]:
 
 
 def _files() -> Iterator[str]:
-    for table, columns in {**TABLES, **REGISTERED}.items():
+    for table, columns in {**TABLES, **{name: one.columns for name, one in REGISTERED.items()}}.items():
         yield from (f"column {table} {one.name} [{one.unit}]" for one in columns)
 
 
