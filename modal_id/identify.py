@@ -231,7 +231,7 @@ def _of_uneven_frames(
     undivided = fit_decays(
         series, used, whole, settings.max_modes, settings.lowest_hz, whole=True, named_hz=settings.add_hz
     )
-    # A fit with a reason leaves motion that no free decay explains: what divided the record is no matter of its frames.
+    # A fit with a reason leaves motion that no free decay explains: the division was not caused by its frames.
     if not undivided.decays or undivided.reasons or not converted(series, used, undivided.decays[0]):
         return None
     return undivided
@@ -287,7 +287,7 @@ def _as_disturbed(
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
-    """A mode of a motion that nobody knows to be free, flagged where little of its amplitude is lost."""
+    """A mode of a motion that is not known to be free, flagged where little of its amplitude is lost."""
     if ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
         return mode
     flag = ModeFlag.MAY_BE_DRIVEN

@@ -317,25 +317,37 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     start = solve_linear(Problem(data, line), no_columns(data.time_s))
     excluded: list[Band] = []
     # Where samples are missing, such as the tops of a clipped wave, the highest line of a spectrum may be an overtone.
-    overtones = (1, 2, 3, 5) if np.any(data.weights == 0.0) else (1,)
+    overtones = (2, 3, 5) if np.any(data.weights == 0.0) else ()
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
             break
-        fits = []
-        for candidate in [replace(c, frequency_hz=c.frequency_hz / n) for c in found for n in overtones]:
-            bandwidth = bandwidth_hz(candidate.frequency_hz)
-            problem = Problem(data, baseline_splines(data.time_s, bandwidth))
-            fit = fit_poles(problem, start_pole(candidate), search=True)
-            if _is_plausible(complex(fit.poles[0]), candidate, data):
-                fits.append(ModalFit(problem, fit, bandwidth))
-                if overtones == (1,):
-                    break
-        if fits:
-            return min(fits, key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
+        for candidate in found:
+            first = _alone(data, candidate)
+            if first is not None:
+                lower = [_alone(data, replace(candidate, frequency_hz=_hz(first) / n)) for n in overtones]
+                waves = [w for w in lower if w is not None and _is_overtone(_hz(first) / _hz(w))]
+                return min([first, *waves], key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
     damped = fit_damped(data, start.residual, lowest_hz)
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
+
+
+def _alone(data: FitData, candidate: Candidate) -> ModalFit | None:
+    """Fit of one line; None where it ends elsewhere."""
+    bandwidth = bandwidth_hz(candidate.frequency_hz)
+    problem = Problem(data, baseline_splines(data.time_s, bandwidth))
+    fit = fit_poles(problem, start_pole(candidate), search=True)
+    plausible = _is_plausible(complex(fit.poles[0]), candidate, data)
+    return ModalFit(problem, fit, bandwidth) if plausible else None
+
+
+def _hz(model: ModalFit) -> float:
+    return float(frequency_hz(model.fit.poles)[0])
+
+
+def _is_overtone(ratio: float) -> bool:
+    return abs(ratio / round(ratio) - 1.0) < OWN_BAND
 
 
 def _split_close(model: ModalFit, max_modes: int) -> ModalFit:

@@ -97,7 +97,7 @@ def drive_probability(
     Returns
     -------
     float
-        Between 0 and 1; 0.5 where the change is hardly known, or a value is not finite.
+        Between 0 and 1; at most 0.5 where the change is hardly known, 0.5 where a value is not finite.
 
     Notes
     -----
@@ -107,7 +107,7 @@ def drive_probability(
     structure with the scatter between decays, or that of a motion that is held, which are equally likely; or, rarely,
     any: a part that is too short to tell.
     """
-    if not np.all(np.isfinite([change, sd, radians])) or not 0.0 < sd < TUNING.known or radians <= 0.0:
+    if not (np.all(np.isfinite([change, sd, radians])) and sd > 0.0 and radians > 0.0):
         return 0.5
     driven = float(voigt_profile(change, sd, TUNING.drive_change))
     zeta = np.geomspace(TUNING.least_damping, TUNING.most_damping, 400)
@@ -121,7 +121,9 @@ def drive_probability(
         held = np.array([held_density(one, follows) for one in own.tolist()])
         mass = mass * (0.5 * (1.0 - TUNING.other) * (same + held) + TUNING.other / log_range)
     free = float(np.sum(mass)) / log_range
-    return prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
+    odds = prior * driven / max(prior * driven + (1.0 - prior) * free, 1e-300)
+    # A change that is hardly known may tell of a decay, but not of a drive.
+    return odds if sd < TUNING.known else min(odds, 0.5)
 
 
 def held_density(free: float, zeta: float) -> float:
@@ -240,7 +242,7 @@ def holds_a_decay(model: ModalFit) -> bool:
 
 def _probability(data: FitData, fit: PoleFit, index: int, prior: float, follows: float | None) -> float:
     if _left(data, fit) > TUNING.unexplained:
-        # What free decays do not explain tells nothing of one of them.
+        # Where free decays do not explain the motion, the pole of one of them is no evidence.
         return prior
     pole, span_s = complex(fit.poles[index]), data.span_s
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)

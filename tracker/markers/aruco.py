@@ -248,8 +248,14 @@ class ArucoDetector:
     """
 
     def __init__(
-        self, dictionary: str, positions_mm: tuple[float, ...] | None, *, other_dictionaries: bool = False
+        self,
+        dictionary: str,
+        positions_mm: tuple[float, ...] | None,
+        *,
+        other_dictionaries: bool = False,
+        kind: MarkerKind | None = None,
     ) -> None:
+        self._kind = kind or ARUCO
         self._wanted = dictionary
         self._positions_mm = positions_mm
         self._other = other_dictionaries or dictionary == "auto"
@@ -410,8 +416,8 @@ class ArucoDetector:
         bits = printed_bits(dictionary, reading.marker_id)
         centre, warp, side = centre_and_warp(reading.corners_px)
         return CodeDetection(
-            name=ARUCO.marker_name(reading.marker_id),
-            kind=ARUCO,
+            name=self._kind.marker_name(reading.marker_id),
+            kind=self._kind,
             frame=reading.frame,
             x_px=float(centre[0]),
             y_px=float(centre[1]),
@@ -439,7 +445,7 @@ class ArucoKind(MarkerKind):
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
         """Detector of the dictionary in the settings; of any dictionary where `auto`."""
-        return ArucoDetector(settings.dictionary, settings.positions_mm, other_dictionaries=auto)
+        return ArucoDetector(settings.dictionary, settings.positions_mm, other_dictionaries=auto, kind=self)
 
     def fit_learned(self, detection: Detection, learned: Template) -> IdealFit | None:
         """The ideal marker fitted to a learned template."""

@@ -91,7 +91,9 @@ class DotDetector:
         clamp_side: ClampSide | None,
         *,
         keep_still: bool = False,
+        kind: MarkerKind | None = None,
     ) -> None:
+        self._kind = kind or DOT
         self._positions_mm = positions_mm
         self._clamp_side = clamp_side
         self._keep_still = keep_still
@@ -115,11 +117,13 @@ class DotDetector:
         diameters = np.array([s.diameter_px for s in chosen])
         paths, joint = spot_paths(frames, _centres(chosen), diameters, self._find)
         detections = [
-            _detection(DOT.marker_name(rank), *_at_its_sharpest(frames, chosen[k], paths[k]), positions[rank])
+            _detection(
+                self._kind.marker_name(rank), *_at_its_sharpest(frames, chosen[k], paths[k]), positions[rank]
+            )
             for rank, k in enumerate(beam.order)
         ]
         detections = [
-            replace(d, first_px=(chosen[k].x_px, chosen[k].y_px))
+            replace(d, kind=self._kind, first_px=(chosen[k].x_px, chosen[k].y_px))
             for d, k in zip(detections, beam.order, strict=True)
         ]
         if joint:
@@ -267,9 +271,8 @@ class DotKind(MarkerKind):
         """Detector of dots; "auto" prefers given points to dots."""
         if auto and settings.points_px:
             return None
-        return DotDetector(
-            settings.positions_mm, settings.clamp_side, keep_still=bool(settings.reference or settings.input)
-        )
+        keep_still = bool(settings.reference or settings.input)
+        return DotDetector(settings.positions_mm, settings.clamp_side, keep_still=keep_still, kind=self)
 
     def covers(self, u: FloatArray, v: FloatArray, half_u: float, half_v: float) -> BoolArray:  # noqa: ARG002 - round
         """Points within a disc."""

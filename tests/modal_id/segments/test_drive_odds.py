@@ -86,3 +86,10 @@ def test_a_growing_motion_is_no_more_free_than_a_decaying_one(change, sd, radian
 @pytest.mark.parametrize("values", [(0.0, 0.2, 60.0), (float("nan"), 0.01, 60.0), (0.0, float("inf"), 60.0)])
 def test_a_change_that_is_hardly_known_decides_nothing(values):
     assert drive_probability(*values, prior=0.8) == 0.5
+
+
+def test_a_change_that_is_hardly_known_may_tell_of_a_decay():
+    """Thirteen standard deviations are a decay, whatever the standard deviation; the prior of a release is kept."""
+    assert drive_probability(2.0, 0.15, 200.0, prior=0.5) < 0.05
+    known, hardly = (drive_probability(0.2, sd, 200.0, prior=0.1) for sd in (0.0999, 0.1001))
+    assert hardly == pytest.approx(known, rel=0.01), "no step at the limit"

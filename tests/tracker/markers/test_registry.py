@@ -10,6 +10,7 @@ from scipy import ndimage
 from tracker import TrackerSettings, track
 from tracker.markers import (
     Detection,
+    DotKind,
     FoundMarkers,
     MarkerKind,
     NothingFound,
@@ -112,3 +113,12 @@ def test_names_are_unique_and_unknown_ones_are_listed(rings):
         marker_kind("square")
     with pytest.raises(ValueError, match="found 'square'"):
         TrackerSettings(kind="square")
+
+
+def test_what_a_kind_of_dots_detects_is_of_its_kind():
+    class Leds(DotKind):
+        name = "led"
+
+    kind, settings = Leds(), TrackerSettings(fps=100.0)
+    found = kind.detector(settings, auto=False).detect(media.images(n=8))
+    assert [one.kind for one in found.detections] == [kind]
