@@ -296,6 +296,12 @@ def _find(
     notes = list(found.notes)
     if not has_config:
         notes.append(f"There is no {CONFIG_NAME} in the folder: only information in the recordings was used.")
+    fps = options.camera.fps
+    other = [
+        f"{shown(r.file)} ({r.fps})" for r in config.recordings if None not in (fps, r.fps) and r.fps != fps
+    ]
+    if other:
+        notes.append(f"--fps {fps} replaces the rates that the configuration gives: {', '.join(other)}.")
     config = config.with_camera(options.camera)
     left_out = [r.file for r in config.recordings if r.leave_out] if only is None else []
     present = [f for f in found.recordings if f.file == only or (only is None and f.file not in left_out)]

@@ -258,8 +258,10 @@ def _outcome(console: Console, summary: dict[str, Any], internal_errors: int, *,
     if not quiet:
         # A narrower terminal wraps the lines; no number is cut.
         room = console.options.update(width=max(console.width, _TABLE_WIDTH))
-        console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
-        for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
+        console.print(Segments(console.render(_mode_table(recordings, summary["config"]), room)), crop=False)
+        for sentence in (
+            s for one in recordings for s in _beside_the_table(one, has_beam=summary["beam"] is not None)
+        ):
             console.print(_text(sentence))
         for alias in summary["aliases"]:
             console.print(_text(f"{alias['recording']}: {alias['finding']}"))
@@ -374,7 +376,7 @@ def _text(text: str, style: str = "") -> Text:
     return Text(for_terminal(text), style)
 
 
-def _mode_table(recordings: list[dict[str, Any]]) -> Table:
+def _mode_table(recordings: list[dict[str, Any]], config: str) -> Table:
     # Without frames the numbers fit into 80 columns; the names are folded, never cut.
     table = Table(Column("recording", overflow="fold"), box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("mode", "frequency / Hz", "damping ratio / %", "90 % interval / %"):
@@ -386,7 +388,7 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
             cells = (
                 recording["recording"],
                 "" if mode["mode"] is None else str(mode["mode"]),
-                _frequency(recording, mode),
+                _frequency(recording, mode, clock_is_known="fps_tolerance_ppm" in config),
                 _with_sd(mode, DAMPING, 100.0),
                 interval(low, high, sd),
             )
@@ -399,13 +401,19 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _beside_the_table(recording: dict[str, Any]) -> list[str]:
-    """Lines on flags, on a record that is not one decay, and on values that belong to another amplitude."""
+def _beside_the_table(recording: dict[str, Any], *, has_beam: bool) -> list[str]:
+    """Lines on flags, further modes, a record that is not one decay, and values that belong to another amplitude."""
     name, lines = recording["recording"], []
     motions = [mode for mode in recording["modes"] if mode["target"]] + recording["driven"]
     flags = list(dict.fromkeys(flag for motion in motions for flag in motion["flags"]))
     if flags:
         lines.append(f"{name}: {', '.join(flags)}")
+    others = [mode for mode in recording["modes"] if not (mode["target"] or mode["flags"])]
+    if others:
+        listed = "; ".join(f"{_frequency(recording, m)} Hz, {_with_sd(m, DAMPING, 100.0)} %" for m in others)
+        unchecked = recording["mode_asked"] is not None and not has_beam
+        asked = "; which of them has the number given is not checked without [beam]" if unchecked else ""
+        lines.append(f"{name}: further modes at {listed}{asked}")
     parts = recording["segments"]
     if len(parts) > 1:
         listed = "; ".join(f"{p['kind']} from {p['start_s']:.4g} s to {p['end_s']:.4g} s" for p in parts)
@@ -434,11 +442,12 @@ def _rate_is_guessed(recording: dict[str, Any]) -> bool:
     return tracking is not None and tracking["time_axis"]["source"] == "container"
 
 
-def _frequency(recording: dict[str, Any], motion: dict[str, Any]) -> str:
+def _frequency(recording: dict[str, Any], motion: dict[str, Any], *, clock_is_known: bool = True) -> str:
     """Frequency in Hz with its sd; that of a film without a recorded rate is unknown."""
     if _rate_is_guessed(recording):
         return "unknown"
-    return hertz(*(_number(motion[column.name]) for column in FREQUENCY))
+    value, sd = (_number(motion[column.name]) for column in FREQUENCY)
+    return hertz(value, sd, float(clock_is_known))
 
 
 def _with_sd(values: dict[str, Any], columns: tuple[Value, Value], factor: float) -> str:

@@ -61,8 +61,8 @@ def whole_record(
 
 
 def in_order(segments: Iterable[Segment]) -> tuple[Segment, ...]:
-    """The segments in order of time."""
-    return tuple(sorted(segments, key=lambda s: (s.start_s, s.end_s)))
+    """The segments that last, in order of time."""
+    return tuple(sorted((s for s in segments if s.end_s > s.start_s), key=lambda s: (s.start_s, s.end_s)))
 
 
 def seen(segments: tuple[Segment, ...]) -> str:

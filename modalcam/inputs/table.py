@@ -25,8 +25,8 @@ _TIME_NAMES = {"time", "t", "x_value", "elapsed time", "zeit", "temps", "tiempo"
 _COUNTER_NAMES = {"frame", "frames", "frame number", "sample", "index"}
 # A name with its unit: Time (s), Time [ms], t/s, time_ms.
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)|[/_](?P<c>[^/_]*))$")
-# Steps of a column without a name that holds times: rounded to the digits written, they differ by less.
-_EVEN = 0.5
+# Samples from which on no vibration increases with every one.
+_LEAST_TIMES = 16
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     -------
     Table
         Times in seconds. In a file that names no column ``time_s``, the column called time (in any unit of time) holds
-        them, or a first column without a name that increases in even steps.
+        them, or a first column without a name that always increases.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _time_column(columns: pd.DataFrame, where: str) -> tuple[str, float]:
         return found[0]
     first = str(columns.columns[0])
     # Columns of an array without names are numbered after its variable.
-    return (first, 1.0) if first.endswith(" 1") and _is_even(columns[first]) else ("", 1.0)
+    return (first, 1.0) if first.endswith(" 1") and _increases(columns[first]) else ("", 1.0)
 
 
 def _seconds(name: str) -> float:
@@ -162,10 +162,9 @@ def _seconds(name: str) -> float:
     return _SECONDS.get((match["a"] or match["b"] or match["c"] or "").strip(), 0.0)
 
 
-def _is_even(column: pd.Series) -> bool:
-    """Whether the values increase in steps that are equal but for rounding."""
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
-    steps = np.diff(values)
-    return steps.size > 0 and bool(
-        np.isfinite(steps).all() and steps.min() > 0.0 and np.ptp(steps) < _EVEN * np.mean(steps)
-    )
+def _increases(column: pd.Series) -> bool:
+    """Whether the values always increase, as times do: equal neighbours may be rounded."""
+    steps = np.diff(pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64))
+    even = steps.size > 0 and np.ptp(steps) < np.abs(np.mean(steps))
+    grows = bool(np.all(steps >= 0.0)) and 2 * np.count_nonzero(steps) > steps.size
+    return grows and bool(even or steps.size >= _LEAST_TIMES)

@@ -20,6 +20,7 @@ _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", r"\s+": "blanks"}
 _NUMBER = re.compile(
     r"^[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$|^[+-]?(nan|inf|infinity)$|^$", re.IGNORECASE
 )
+_TIME_UNITS = {"s", "ms", "us", "µs", "ns", "sec", "seconds"}
 _END_OF_HEADER = "***End_of_Header***"
 
 
@@ -127,6 +128,11 @@ def _names(cells: list[list[str]], rows: list[tuple[int, str]], start: int, sepa
     width = len(cells[start])
     if start:
         above = _cells(rows[start - 1][1].lstrip("# "), separator)
+        if start > 1 and len(cells[start - 2]) == width and above[0].strip("()[]").lower() in _TIME_UNITS:
+            # units stand in a row of their own
+            above = [
+                f"{name} [{unit.strip('()[]')}]" for name, unit in zip(cells[start - 2], above, strict=False)
+            ]
         if len(above) == width and len(set(above)) == width and all(above):
             return above
     return [f"column {k + 1}" for k in range(width)]

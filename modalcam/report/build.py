@@ -100,7 +100,9 @@ def build_report(
         "main_modes": main,
         "amplitude_dependent": any("AMPLITUDE_DEPENDENT" in mode.flags for mode in main),
         "clock_exact": bool(main) and not any(mode.posterior.rate_sd_ppm for mode in main),
-        "beyond_clock": any("†" in hertz(m.frequency_hz, m.frequency_sd_hz) for m in main),
+        "beyond_clock": any(
+            "†" in hertz(m.frequency_hz, m.frequency_sd_hz, m.posterior.rate_sd_ppm) for m in main
+        ),
         "alerts": checks,
         "failed": [alert for alert in checks if alert.kind not in PASSED],
         "passed": PASSED,

@@ -28,7 +28,6 @@ from modalcam.report.style import (
     figure_label,
     legend_above,
     log_y,
-    mode_name,
     onset_line,
     percent,
     quantity,
@@ -200,7 +199,8 @@ def _draw_extremes(figure: Figure, shown: tuple[_Extreme, ...]) -> None:
             ylabel=f"{channel_label(series.channels[channel])} ({figure_label(series.unit)})",
         )
         value = with_sd(100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd)
-        whole.set_title(f"{figure_label(name)}: {mode_name(mode).lower()}, ζ = {value} %", loc="left")
+        number = f"mode {mode.number}, " if mode.number else ""
+        whole.set_title(f"{figure_label(name)}: {number}ζ = {value} %", loc="left")
         span = _CYCLES / mode.frequency_hz
         if np.count_nonzero(found.used[:, channel]) > 1:
             _cycles(late, target, _late(target, span), span)

@@ -69,6 +69,19 @@ def test_utf_16_and_milliseconds(tmp_path):
     assert "0.001 s" in table.notes[-1]
 
 
+def test_units_below_the_names_and_uneven_times_without_a_name(tmp_path):
+    numbers = "\n".join(f"{1e3 * t:.9g},{v:.9g}" for t, v in zip(TIME_S, MOTION[:, 0], strict=True))
+    (tmp_path / "a.csv").write_text(f"Time,Channel A\n(ms),(V)\n\n{numbers}\n")
+    columns = read_table(tmp_path / "a.csv").columns
+    assert list(columns) == ["time_s", "Channel A [V]"]
+    np.testing.assert_allclose(columns["time_s"], TIME_S, rtol=1e-8)
+    uneven = TIME_S + 0.9e-3 * np.sin(np.arange(TIME_S.size))
+    np.save(tmp_path / "b.npy", np.column_stack([uneven, MOTION[:, 0]]))
+    np.testing.assert_array_equal(read_table(tmp_path / "b.npy").columns["time_s"], uneven)
+    with pytest.raises(InputError, match="--rate is for tables without times"):
+        read_table(tmp_path / "b.npy", 250.0)
+
+
 @pytest.mark.parametrize("order", ["samples by channels", "channels by samples"])
 def test_numpy_arrays(tmp_path, order):
     array = np.column_stack([TIME_S, MOTION])
