@@ -61,13 +61,13 @@ def empty_gradients(points: tuple[int, int]) -> Gradients:
     return Gradients(np.zeros(points), np.zeros(points))
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def first_coordinate(n: int, elements: int) -> int:
     """Index in a padded state of the first coordinate of the node at the clamp."""
     return PAD + n - 4 * (elements + 1)
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients) -> None:
     """Write ``sum_k weights[g, k] coordinate_k`` at each Gauss point, along and across the beam."""
     points, elements = out.x.shape
@@ -80,7 +80,7 @@ def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients)
             out.y[g, e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> None:
     """Add ``weights[g, k] pressed`` to the coordinates of each element: the transpose of `interpolate`.
 
@@ -105,7 +105,7 @@ def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> 
         out[i] = 0.0
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def drag_force(
     start: Gradients,
     step: FloatArray,
@@ -139,7 +139,7 @@ def drag_force(
     spread(moved, air.shape, n, force)
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def axial_energy(at: Gradients, axial: Axial) -> float:
     """Axial strain energy of a state whose gradients are `at`."""
     points, elements = at.x.shape
@@ -183,7 +183,7 @@ def empty_stretch(points: tuple[int, int]) -> Stretch:
     return Stretch(*(np.zeros(points) for _ in Stretch._fields))
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def keep_strain(start: Gradients, stretch: Stretch) -> None:
     """Store the strain at the start of a step for the first guess of the next one."""
     for g in range(start.x.shape[0]):
@@ -192,7 +192,7 @@ def keep_strain(start: Gradients, stretch: Stretch) -> None:
             stretch.before[g, e] = x + 0.5 * (x * x + y * y)
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def predict(start: Gradients, stretch: Stretch, work: Gradients) -> None:
     """First guess of a step with gradients `work`: its mean strain is that of the preceding step."""
     for g in range(start.x.shape[0]):
@@ -203,7 +203,7 @@ def predict(start: Gradients, stretch: Stretch, work: Gradients) -> None:
             stretch.offset[g, e] = growth - along
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def axial_force(
     start: Gradients,
     n: int,
@@ -241,7 +241,7 @@ def axial_force(
     spread(work, axial.dshape, n, force)
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def axial_tangent(
     start: Gradients,
     n: int,

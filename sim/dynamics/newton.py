@@ -156,7 +156,7 @@ def empty_workspace(n: int, r: int, points: tuple[int, int], windy: tuple[int, i
     )
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> None:
     """Write ``modal x`` to `out`, of the rows from `first` on; `modal` has one row a mode, `x` may be longer."""
     for r in range(first, modal.shape[0]):
@@ -166,7 +166,7 @@ def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> No
         out[r] = total
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray) -> None:
     """Add ``modal^T factors`` of the rows from `first` on to `out`."""
     r, last = first, modal.shape[0]
@@ -183,7 +183,7 @@ def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray
         r += 1
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def woodbury(workspace: Workspace, rows: FloatArray, gain: FloatArray, first: int) -> None:
     """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, from the factors of A."""
     n, r = workspace.inverse_pivot.size, rows.shape[0]
@@ -213,7 +213,7 @@ def woodbury(workspace: Workspace, rows: FloatArray, gain: FloatArray, first: in
                     system[b, c] -= share * system[a, c]
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def solve_kept(workspace: Workspace, rows: FloatArray, first: int) -> None:
     """Solve for the residual in place with the stored factors and the low-rank part of the rows from `first` on."""
     n, r = workspace.inverse_pivot.size, rows.shape[0]
@@ -230,7 +230,7 @@ def solve_kept(workspace: Workspace, rows: FloatArray, first: int) -> None:
     add_rows(workspace.spread, workspace.factors, first, x[:n])
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def residual_of(step: Step, guess: FloatArray, workspace: Workspace) -> None:
     """Write the negative residual of the step at `guess` to ``workspace.residual``.
 
@@ -258,7 +258,7 @@ def residual_of(step: Step, guess: FloatArray, workspace: Workspace) -> None:
         inner[i] = -inner[i]
 
 
-@register_jitable(fastmath=REORDER)
+@register_jitable(fastmath=REORDER, forceinline=True)
 def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> float:
     """Add the increment to the padded guess; returns its Euclidean norm in m, which is NaN if any part is."""
     square = 0.0
@@ -269,7 +269,7 @@ def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> 
     return float(np.sqrt(square))
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def factor(level: int, step: Step, workspace: Workspace, memory: IntArray, info: IntArray) -> bool:
     """Factor the tangent at the iterate whose gradients are ``workspace.work``; False when it is singular."""
     for i in range(step.columns.shape[0]):
@@ -292,7 +292,7 @@ def factor(level: int, step: Step, workspace: Workspace, memory: IntArray, info:
     return True
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: FloatArray) -> None:
     """Write the first guess of the step: a parabola through the last three steps, or a lower order with fewer."""
     for i in range(first.size):
@@ -304,7 +304,7 @@ def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: Float
             guess[PAD + i] = first[i]
 
 
-@register_jitable
+@register_jitable(forceinline=True)
 def solve_step(
     level: int,
     step: Step,
