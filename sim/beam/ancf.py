@@ -103,7 +103,7 @@ def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> Flo
         columns = ((6 * x**2 - 6 * x) / h, 1 - 4 * x + 3 * x**2, (6 * x - 6 * x**2) / h, 3 * x**2 - 2 * x)
     else:
         columns = ((12 * x - 6) / h**2, (6 * x - 4) / h, (6 - 12 * x) / h**2, (6 * x - 2) / h)
-    return np.stack(columns, axis=-1)
+    return np.ascontiguousarray(np.array(columns).T)
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ class AncfBeam:
         sine, cosine = np.sin(np.radians(p.angle_deg)), np.cos(np.radians(p.angle_deg))
         return (float(sine), -float(cosine)), (float(cosine), float(sine))
 
-    @property
+    @cached_property
     def dof_scale(self) -> FloatArray:
         """Displacement in m that corresponds to one unit of each coordinate, shape (ndof,)."""
         h = self.element_length_m
@@ -353,20 +353,18 @@ class AncfBeam:
         if not np.all((s >= -slack) & (s <= p.length_m + slack)):
             msg = f"points must lie between 0 and {p.length_m} m from the clamp, got {s.tolist()}"
             raise ValueError(msg)
-        element = np.clip((s / h).astype(np.int64), 0, p.elements - 1)
-        shapes = shape_functions(s / h - element, h, derivative)
+        # truncated towards zero: a point before the clamp is in the first element
+        element = np.minimum((s / h).astype(np.int64), p.elements - 1)[:, np.newaxis]
         full = np.zeros((s.size, 2 * (p.elements + 1)))
-        for k in range(4):
-            full[np.arange(s.size), 2 * element + k] = shapes[:, k]
+        columns = 2 * element + np.arange(4)
+        full[np.arange(s.size)[:, np.newaxis], columns] = shape_functions(
+            s / h - element[:, 0], h, derivative
+        )
         return full[:, self.held // 2 :]
 
     def transverse_at(self, s_m: FloatArray, q: FloatArray) -> FloatArray:
         """Transverse displacement at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
         return _direction(q, 1) @ self.interpolation(s_m).T
-
-    def axial_at(self, s_m: FloatArray, q: FloatArray) -> FloatArray:
-        """Displacement along the undeformed beam at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
-        return _direction(q, 0) @ self.interpolation(s_m).T
 
     def points(
         self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float = 0.0
@@ -376,26 +374,21 @@ class AncfBeam:
         For `q` of shape (ndof,) or (n, ndof) and the transverse displacement of the clamp: x (right), y (up) and the
         rotation from the undeformed direction, counter-clockwise, each (k,) or (n, k).
         """
-        s = np.atleast_1d(np.asarray(s_m, dtype=np.float64))
-        shapes = self.interpolation(s).T
-        return self.placed(s, _direction(q, 0) @ shapes, _direction(q, 1) @ shapes, q, base_m)
+        return self.moved(s_m, q, base_m)[:3]
 
-    def placed(
-        self,
-        s_m: FloatArray,
-        axial_m: FloatArray,
-        transverse_m: FloatArray,
-        q: FloatArray,
-        base_m: FloatArray | float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """`points` for known displacements."""
+    def moved(
+        self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """`points`, and the displacements along and across the beam relative to the clamp."""
+        shapes = self.interpolation(s_m).T
+        axial_m, transverse_m = _direction(q, 0) @ shapes, _direction(q, 1) @ shapes
         along = s_m + axial_m
         across = transverse_m + np.asarray(base_m)[..., np.newaxis]
         slopes = self.interpolation(s_m, 1).T
         angle = np.arctan2(_direction(q, 1) @ slopes, 1.0 + _direction(q, 0) @ slopes)
         (ax, ay), (tx, ty) = self.axis, self.transverse
         handed = np.sign(ax * ty - ay * tx)
-        return ax * along + tx * across, ay * along + ty * across, handed * angle
+        return ax * along + tx * across, ay * along + ty * across, handed * angle, axial_m, transverse_m
 
     @cached_property
     def gravity_m_s2(self) -> FloatArray:

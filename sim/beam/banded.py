@@ -152,12 +152,7 @@ def to_band(dense: FloatArray) -> FloatArray:
 def from_band(band: FloatArray) -> FloatArray:
     """Dense matrix, shape (n, n), of a band form."""
     n = band.shape[0]
-    dense = np.zeros((n, n))
-    for k in range(BAND):
-        offset = k - PAD
-        size = n - abs(offset)
-        if size <= 0:
-            continue
-        rows = np.arange(size) + max(0, -offset)
-        dense[rows, rows + offset] = band[rows, k]
-    return dense
+    rows = np.zeros((n, n + BAND))
+    rows[:, :BAND] = band
+    # read with rows shorter by one, each begins one further to the right
+    return np.ascontiguousarray(rows.ravel()[: n * (n + 2 * PAD)].reshape(n, -1)[:, PAD:-PAD])

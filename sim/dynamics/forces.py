@@ -1,8 +1,8 @@
 """Compiled forces of one time step, integrated at the Gauss points: axial force in mixed form, and air drag.
 
-Values at the Gauss points are arrays (g, ne), one row per Gauss point, so that the loops run along the elements. A
-padded state holds the free coordinates between zeros (`sim.beam.banded`); the node at an elastic clamp is part of the
-state, that at a rigid one lies in the leading zeros.
+Values at the Gauss points are arrays (g ne,), element by element for each Gauss point in turn. A padded
+state holds the free coordinates between zeros (`sim.beam.banded`); the node at an elastic clamp is part of the state,
+that at a rigid one lies in the leading zeros.
 
 The unknowns are strain and displacement. The energy-momentum rule applies EA times the mean strain of both ends of the
 step to the tangent r' at its middle. An iterate with a rotation error of 1e-3 has a spurious strain of 5e-7, and EA
@@ -31,17 +31,17 @@ from tracker import FloatArray
 
 
 class Axial(NamedTuple):
-    """Derivatives of the shape functions at the Gauss points, (g, 4); EA times the Gauss weight in m, (g, ne)."""
+    """Derivatives of the shape functions at the Gauss points, (g, 4); EA times the Gauss weight in m, (g ne,)."""
 
     dshape: FloatArray
     stiffness_n_m: FloatArray
 
 
 class Air(NamedTuple):
-    """Still air: shape functions and derivatives at the Gauss points, (g, 4), and the resistance there, (g, ne).
+    """Still air: shape functions and derivatives at the Gauss points, (g, 4), and the resistance there, (g ne,).
 
     The resistance is half of density times drag coefficient times width, times the Gauss weight in m; without air there
-    are no rows.
+    are no points.
     """
 
     shape: FloatArray
@@ -50,14 +50,14 @@ class Air(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """Displacement gradient along and across the beam at the Gauss points, each (g, ne)."""
+    """Displacement gradient along and across the beam at the Gauss points, each (g ne,)."""
 
     x: FloatArray
     y: FloatArray
 
 
-def empty_gradients(points: tuple[int, int]) -> Gradients:
-    """Memory for gradients at (g, ne) Gauss points."""
+def empty_gradients(points: int) -> Gradients:
+    """Memory for gradients at the Gauss points."""
     return Gradients(np.zeros(points), np.zeros(points))
 
 
@@ -70,14 +70,14 @@ def first_coordinate(n: int, elements: int) -> int:
 @register_jitable(fastmath=REORDER, forceinline=True)
 def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients) -> None:
     """Write ``sum_k weights[g, k] coordinate_k`` at each Gauss point, along and across the beam."""
-    points, elements = out.x.shape
+    elements = out.x.size // weights.shape[0]
     first = first_coordinate(n, elements)
-    for g in range(points):
+    for g in range(weights.shape[0]):
         a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
         for e in range(elements):
             p = padded[first + 4 * e : first + 4 * e + 8]
-            out.x[g, e] = a * p[0] + b * p[2] + c * p[4] + d * p[6]
-            out.y[g, e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
+            out.x[g * elements + e] = a * p[0] + b * p[2] + c * p[4] + d * p[6]
+            out.y[g * elements + e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
 
 
 @register_jitable(fastmath=REORDER, forceinline=True)
@@ -86,13 +86,13 @@ def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> 
 
     `out` is padded: forces on a rigid clamp go to the leading zeros, which are reset.
     """
-    points, elements = pressed.x.shape
+    elements = pressed.x.size // weights.shape[0]
     first = first_coordinate(n, elements)
-    for g in range(points):
+    for g in range(weights.shape[0]):
         a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
         for e in range(elements):
             p = out[first + 4 * e : first + 4 * e + 8]
-            px, py = pressed.x[g, e], pressed.y[g, e]
+            px, py = pressed.x[g * elements + e], pressed.y[g * elements + e]
             p[0] += a * px
             p[1] += a * py
             p[2] += b * px
@@ -125,30 +125,26 @@ def drag_force(
     moved, turned = work
     interpolate(step, n, air.shape, moved)
     interpolate(step, n, air.dshape, turned)
-    points, elements = air.resistance.shape
-    for g in range(points):
-        for e in range(elements):
-            tx = 1.0 + start.x[g, e] + 0.5 * turned.x[g, e]
-            ty = start.y[g, e] + 0.5 * turned.y[g, e]
-            length = np.sqrt(tx * tx + ty * ty)
-            nx, ny = -ty / length, tx / length
-            speed = nx * moved.x[g, e] / h + ny * (moved.y[g, e] / h + base_m_s)
-            # the axial strain, by which the area of the deformed beam differs, is neglected
-            pressed = air.resistance[g, e] * abs(speed) * speed
-            moved.x[g, e], moved.y[g, e] = pressed * nx, pressed * ny
+    for i in range(air.resistance.size):
+        tx = 1.0 + start.x[i] + 0.5 * turned.x[i]
+        ty = start.y[i] + 0.5 * turned.y[i]
+        length = np.sqrt(tx * tx + ty * ty)
+        nx, ny = -ty / length, tx / length
+        speed = nx * moved.x[i] / h + ny * (moved.y[i] / h + base_m_s)
+        # the axial strain, by which the area of the deformed beam differs, is neglected
+        pressed = air.resistance[i] * abs(speed) * speed
+        moved.x[i], moved.y[i] = pressed * nx, pressed * ny
     spread(moved, air.shape, n, force)
 
 
 @register_jitable(fastmath=REORDER, forceinline=True)
 def axial_energy(at: Gradients, axial: Axial) -> float:
     """Axial strain energy of a state whose gradients are `at`."""
-    points, elements = at.x.shape
     energy = 0.0
-    for g in range(points):
-        for e in range(elements):
-            x, y = at.x[g, e], at.y[g, e]
-            strain = x + 0.5 * (x * x + y * y)
-            energy += 0.5 * axial.stiffness_n_m[g, e] * strain * strain
+    for i in range(at.x.size):
+        x, y = at.x[i], at.y[i]
+        strain = x + 0.5 * (x * x + y * y)
+        energy += 0.5 * axial.stiffness_n_m[i] * strain * strain
     return energy
 
 
@@ -166,41 +162,41 @@ _BETWEEN = TUNING.between
 
 
 class Stretch(NamedTuple):
-    """Increase of twice the strain over the step at the Gauss points, each (g, ne).
+    """Increase of twice the strain over the step at the Gauss points, each (g ne,).
 
     It is `offset` plus ``along`` times the step's displacement gradient, with ``along`` the value of r' when the matrix
-    was factored; `before` is the strain at the start of the preceding step.
+    was factored; `before` is the strain at the start of the preceding step. The rest are parts of the tangent.
     """
 
     along_x: FloatArray
     along_y: FloatArray
     offset: FloatArray
     before: FloatArray
+    xx: FloatArray
+    xy: FloatArray
+    yy: FloatArray
 
 
-def empty_stretch(points: tuple[int, int]) -> Stretch:
-    """Memory for the increase at (g, ne) Gauss points."""
+def empty_stretch(points: int) -> Stretch:
+    """Memory for the increase at the Gauss points."""
     return Stretch(*(np.zeros(points) for _ in Stretch._fields))
 
 
 @register_jitable(fastmath=REORDER, forceinline=True)
 def keep_strain(start: Gradients, stretch: Stretch) -> None:
     """Store the strain at the start of a step for the first guess of the next one."""
-    for g in range(start.x.shape[0]):
-        for e in range(start.x.shape[1]):
-            x, y = start.x[g, e], start.y[g, e]
-            stretch.before[g, e] = x + 0.5 * (x * x + y * y)
+    for i in range(start.x.size):
+        x, y = start.x[i], start.y[i]
+        stretch.before[i] = x + 0.5 * (x * x + y * y)
 
 
 @register_jitable(fastmath=REORDER, forceinline=True)
 def predict(start: Gradients, stretch: Stretch, work: Gradients) -> None:
     """First guess of a step with gradients `work`: its mean strain is that of the preceding step."""
-    for g in range(start.x.shape[0]):
-        for e in range(start.x.shape[1]):
-            x, y = start.x[g, e], start.y[g, e]
-            growth = stretch.before[g, e] - x - 0.5 * (x * x + y * y)
-            along = stretch.along_x[g, e] * work.x[g, e] + stretch.along_y[g, e] * work.y[g, e]
-            stretch.offset[g, e] = growth - along
+    for i in range(start.x.size):
+        x, y = start.x[i], start.y[i]
+        growth = stretch.before[i] - x - 0.5 * (x * x + y * y)
+        stretch.offset[i] = growth - stretch.along_x[i] * work.x[i] - stretch.along_y[i] * work.y[i]
 
 
 @register_jitable(fastmath=REORDER, forceinline=True)
@@ -220,24 +216,22 @@ def axial_force(
     ``viscosity`` is (beta / h, tau / h): beta multiplies the rate of the whole axial force, so that beta K(q) v is
     exact over the step; tau multiplies the strain rate only (Kelvin-Voigt).
     """
-    points, elements = work.x.shape
     beta, both = viscosity[0], viscosity[0] + viscosity[1]
-    for g in range(points):
-        for e in range(elements):
-            dx, dy = work.x[g, e], work.y[g, e]
-            x0, y0 = start.x[g, e], start.y[g, e]
-            ax, ay = stretch.along_x[g, e], stretch.along_y[g, e]
-            tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
-            exact = tx * dx + ty * dy
-            along = ax * dx + ay * dy
-            growth = stretch.offset[g, e] + along
-            stretch.offset[g, e] = exact - along
-            ea = axial.stiffness_n_m[g, e]
-            normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-            total = normal + ea * both * growth
-            missed = ea * (0.5 + both) * (exact - growth)
-            work.x[g, e] = total * tx + normal * beta * dx + missed * ax
-            work.y[g, e] = total * ty + normal * beta * dy + missed * ay
+    for i in range(work.x.size):
+        dx, dy = work.x[i], work.y[i]
+        x0, y0 = start.x[i], start.y[i]
+        ax, ay = stretch.along_x[i], stretch.along_y[i]
+        tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
+        exact = tx * dx + ty * dy
+        along = ax * dx + ay * dy
+        growth = stretch.offset[i] + along
+        stretch.offset[i] = exact - along
+        ea = axial.stiffness_n_m[i]
+        normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
+        total = normal + ea * both * growth
+        missed = ea * (0.5 + both) * (exact - growth)
+        work.x[i] = total * tx + normal * beta * dx + missed * ax
+        work.y[i] = total * ty + normal * beta * dy + missed * ay
     spread(work, axial.dshape, n, force)
 
 
@@ -255,31 +249,36 @@ def axial_tangent(
 
     The tangent is symmetric: one direction between the middle and the end of the step is used for both.
     """
-    points, elements = work.x.shape
     both = viscosity[0] + viscosity[1]
+    for i in range(work.x.size):
+        dx, dy = work.x[i], work.y[i]
+        x0, y0 = start.x[i], start.y[i]
+        growth = stretch.offset[i] + stretch.along_x[i] * dx + stretch.along_y[i] * dy
+        ax, ay = 1.0 + x0 + _BETWEEN * dx, y0 + _BETWEEN * dy
+        stretch.along_x[i], stretch.along_y[i] = ax, ay
+        stretch.offset[i] = growth - ax * dx - ay * dy
+        ea = axial.stiffness_n_m[i]
+        normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
+        isotropic = 0.5 * (normal + ea * both * growth) + normal * viscosity[0]
+        stiff = ea * (0.5 + both)
+        stretch.xx[i], stretch.xy[i] = stiff * ax * ax + isotropic, stiff * ax * ay
+        stretch.yy[i] = stiff * ay * ay + isotropic
+    points = axial.dshape.shape[0]
+    elements = work.x.size // points
     for e in range(elements):
         offset = first_coordinate(n, elements) - PAD + 4 * e
-        for g in range(points):
-            dx, dy = work.x[g, e], work.y[g, e]
-            x0, y0 = start.x[g, e], start.y[g, e]
-            growth = stretch.offset[g, e] + stretch.along_x[g, e] * dx + stretch.along_y[g, e] * dy
-            ax, ay = 1.0 + x0 + _BETWEEN * dx, y0 + _BETWEEN * dy
-            stretch.along_x[g, e], stretch.along_y[g, e] = ax, ay
-            stretch.offset[g, e] = growth - ax * dx - ay * dy
-            ea = axial.stiffness_n_m[g, e]
-            normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-            isotropic = 0.5 * (normal + ea * both * growth) + normal * viscosity[0]
-            stiff = ea * (0.5 + both)
-            xx, xy, yy = stiff * ax * ax + isotropic, stiff * ax * ay, stiff * ay * ay + isotropic
-            for k in range(4):
-                row = offset + 2 * k
-                if row < 0:
-                    continue
-                for m in range(k, 4):
-                    scale = axial.dshape[g, k] * axial.dshape[g, m]
-                    apart = 2 * (m - k)
-                    columns[row, apart] += scale * xx
-                    columns[row, apart + 1] += scale * xy
-                    columns[row + 1, apart] += scale * yy
-                    if m > k:
-                        columns[row + 1, apart - 1] += scale * xy
+        for k in range(4):
+            row = offset + 2 * k
+            for m in range(k if row >= 0 else 4, 4):
+                xx, xy, yy = 0.0, 0.0, 0.0
+                for g in range(points):
+                    scale, i = axial.dshape[g, k] * axial.dshape[g, m], g * elements + e
+                    xx += scale * stretch.xx[i]
+                    xy += scale * stretch.xy[i]
+                    yy += scale * stretch.yy[i]
+                apart = 2 * (m - k)
+                columns[row, apart] += xx
+                columns[row, apart + 1] += xy
+                columns[row + 1, apart] += yy
+                if m > k:
+                    columns[row + 1, apart - 1] += xy

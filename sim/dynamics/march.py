@@ -131,7 +131,7 @@ def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> 
     add_product(structure.bending, now.q, now.bending_q)
     project(structure.rows, v, 0, now.rate)
     interpolate(now.q, q.size, structure.axial.dshape, now.axial)
-    if structure.air.resistance.shape[0] > 0:
+    if structure.air.resistance.size > 0:
         interpolate(now.q, q.size, structure.air.dshape, now.air)
 
 
@@ -184,7 +184,7 @@ def equation(
 def memory_for(structure: Structure) -> Memory:
     """Allocated memory for a run."""
     r, n = structure.rows.shape
-    points, windy = structure.axial.stiffness_n_m.shape, structure.air.resistance.shape
+    points, windy = structure.axial.stiffness_n_m.size, structure.air.resistance.size
     now = Moment(
         q=np.zeros(n + 2 * PAD),
         v=np.zeros(n + 2 * PAD),

@@ -138,7 +138,7 @@ class Workspace(NamedTuple):
     stretch: Stretch
 
 
-def empty_workspace(n: int, r: int, points: tuple[int, int], windy: tuple[int, int]) -> Workspace:
+def empty_workspace(n: int, r: int, points: int, windy: int) -> Workspace:
     """Memory for a beam of n coordinates, r modal terms, and these numbers of Gauss points."""
     return Workspace(
         columns=np.zeros((n + PAD, COLUMN)),

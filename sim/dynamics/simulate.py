@@ -255,8 +255,7 @@ def simulate(
         return _failure(int(info[STEP]), step_s)
     base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
     positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
-    axial_m, transverse_m = beam.axial_at(positions, out_q), beam.transverse_at(positions, out_q)
-    x_m, y_m, angle = beam.placed(positions, axial_m, transverse_m, out_q, base_m)
+    x_m, y_m, angle, axial_m, transverse_m = beam.moved(positions, out_q, base_m)
     return Trajectory(
         time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
         positions_m=positions,
@@ -329,7 +328,7 @@ def _structure(
         modal_mass=terms.mass,
         gain=gain,
         low_rank=first_that_matters(gain, levels_s),
-        axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
+        axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n).ravel()),
         air=_air(beam, coefficients.air),
         relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
         dof_scale=beam.dof_scale,
@@ -340,14 +339,14 @@ def _structure(
 def _air(beam: AncfBeam, air: StillAir | None) -> Air:
     """Drag at the Gauss points; no points without air."""
     if air is None:
-        return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
+        return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
     nodes, weights = np.polynomial.legendre.leggauss(TUNING.drag_points)
     at, h = 0.5 * (nodes + 1.0), beam.element_length_m
     half = 0.5 * air.density_kg_m3 * air.drag_coefficient
     return Air(
         shape_functions(at, h),
         shape_functions(at, h, 1),
-        np.outer(0.5 * h * weights, half * beam.properties.width_m),
+        np.outer(0.5 * h * weights, half * beam.properties.width_m).ravel(),
     )
 
 
