@@ -87,20 +87,24 @@ def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> 
     `out` is padded: forces on a rigid clamp go to the leading zeros, which are reset.
     """
     elements = pressed.x.size // weights.shape[0]
-    first = first_coordinate(n, elements)
+    p, last = out[first_coordinate(n, elements) :], 4 * elements
     for g in range(weights.shape[0]):
         a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
-        for e in range(elements):
-            p = out[first + 4 * e : first + 4 * e + 8]
-            px, py = pressed.x[g * elements + e], pressed.y[g * elements + e]
-            p[0] += a * px
-            p[1] += a * py
-            p[2] += b * px
-            p[3] += b * py
-            p[4] += c * px
-            p[5] += c * py
-            p[6] += d * px
-            p[7] += d * py
+        x, y = pressed.x[g * elements : (g + 1) * elements], pressed.y[g * elements : (g + 1) * elements]
+        p[0] += a * x[0]
+        p[1] += a * y[0]
+        p[2] += b * x[0]
+        p[3] += b * y[0]
+        # node by node, so that no addition waits for that of the element before
+        for e in range(1, elements):
+            p[4 * e] += a * x[e] + c * x[e - 1]
+            p[4 * e + 1] += a * y[e] + c * y[e - 1]
+            p[4 * e + 2] += b * x[e] + d * x[e - 1]
+            p[4 * e + 3] += b * y[e] + d * y[e - 1]
+        p[last] += c * x[elements - 1]
+        p[last + 1] += c * y[elements - 1]
+        p[last + 2] += d * x[elements - 1]
+        p[last + 3] += d * y[elements - 1]
     for i in range(PAD):
         out[i] = 0.0
 
