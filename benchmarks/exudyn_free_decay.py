@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.simulation_cases import Decay, beam_and_modes, modal_damping_matrix
 from benchmarks.simulation_peers import ExudynBeam, load
 
-FREE_DECAY = Decay("mode 1, 200 mm", 1, 0.2, (), ())
+FREE_DECAY = Decay("mode 1, 200 mm", 1, 0.2, ())
 DURATION_S = 0.5
 EVERY_S = 0.01
 TARGET = Path(__file__).parents[1] / "tests" / "sim" / "dynamics" / "exudyn_free_decay.csv"

@@ -21,39 +21,37 @@ SAMPLE_S = 4e-3
 class Decay:
     """Release from rest: before the release, the load of the mode holds the tip at its amplitude.
 
-    Errors are evaluated every `sample_s`, a multiple of every step.
+    Both codes are run at all `steps_s`. Errors are evaluated every `sample_s`, a multiple of each of them.
     """
 
     name: str
     mode_number: int
     tip_m: float
-    our_steps_s: tuple[float, ...]
-    peer_steps_s: tuple[float, ...]
+    steps_s: tuple[float, ...]
     sample_s: float = SAMPLE_S
+    least_s: float = 0.0
 
     def state(self, beam: AncfBeam, modes: BeamModes) -> State:
         """State at the start of the decay."""
         return released_state(beam, modes, self.mode_number, self.tip_m)
 
 
-# The smallest step of each code is its reference.
+# The smallest step of each code is its reference. Mode 1 has a period of 0.53 s, of which the decay has to show two.
 EQUAL_ERROR = (
     Decay(
-        "mode 1, 20 mm", 1, 20e-3,
-        (16e-3, 8e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2e-5), (16e-3, 8e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2e-5), 16e-3,
+        "mode 1, 20 mm", 1, 20e-3, (64e-3, 32e-3, 16e-3, 8e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2e-5), 64e-3, least_s=1.024
     ),
     Decay(
-        "mode 3, 1 mm", 3, 1e-3,
-        (4e-3, 2e-3, SAMPLE_S / 3, 1e-3, 5e-4, 2.5e-4, 1e-5), (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5),
+        "mode 3, 1 mm", 3, 1e-3, (6e-3, 4e-3, 3e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5), 12e-3
     ),
     Decay(
         "mode 5, 0.3 mm", 5, 0.3e-3,
-        (2e-3, 1e-3, 8e-4, SAMPLE_S / 6, 5e-4, 2.5e-4, 1e-4, 1e-5), (2e-4, 1e-4, 5e-5, 2.5e-5, 1e-5, 5e-6),
+        (4e-3, 2e-3, SAMPLE_S / 3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2.5e-5, 1e-5, 5e-6),
     ),
 )  # fmt: skip
 PER_STEP = (
-    Decay("mode 1, 20 mm", 1, 20e-3, (1e-3, 5e-4, 1e-4), (1e-3, 5e-4, 1e-4)),
-    Decay("mode 1, 200 mm", 1, 200e-3, (1e-3, 5e-4, 1e-4), (1e-3, 5e-4, 1e-4)),
+    Decay("mode 1, 20 mm", 1, 20e-3, (1e-3, 5e-4, 1e-4)),
+    Decay("mode 1, 200 mm", 1, 200e-3, (1e-3, 5e-4, 1e-4)),
 )
 
 
