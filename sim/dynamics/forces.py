@@ -61,13 +61,13 @@ def empty_gradients(points: int) -> Gradients:
     return Gradients(np.zeros(points), np.zeros(points))
 
 
-@register_jitable(forceinline=True)
+@register_jitable
 def first_coordinate(n: int, elements: int) -> int:
     """Index in a padded state of the first coordinate of the node at the clamp."""
     return PAD + n - 4 * (elements + 1)
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients) -> None:
     """Write ``sum_k weights[g, k] coordinate_k`` at each Gauss point, along and across the beam."""
     elements = out.x.size // weights.shape[0]
@@ -80,7 +80,7 @@ def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients)
             out.y[g * elements + e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> None:
     """Add ``weights[g, k] pressed`` to the coordinates of each element: the transpose of `interpolate`.
 
@@ -109,7 +109,7 @@ def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> 
         out[i] = 0.0
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def drag_force(
     start: Gradients,
     step: FloatArray,
@@ -141,7 +141,7 @@ def drag_force(
     spread(moved, air.shape, n, force)
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def axial_energy(at: Gradients, axial: Axial) -> float:
     """Axial strain energy of a state whose gradients are `at`."""
     energy = 0.0
@@ -186,7 +186,7 @@ def empty_stretch(points: int) -> Stretch:
     return Stretch(*(np.zeros(points) for _ in Stretch._fields))
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def keep_strain(start: Gradients, stretch: Stretch) -> None:
     """Store the strain at the start of a step for the first guess of the next one."""
     for i in range(start.x.size):
@@ -239,7 +239,7 @@ def axial_force(
     spread(work, axial.dshape, n, force)
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def axial_tangent(
     start: Gradients,
     n: int,

@@ -1,7 +1,7 @@
 """Compiled time stepping of the ANCF beam: energy-momentum midpoint rule with low-rank modal corrections.
 
-The equations are in `sim.dynamics.simulate`; `sim.dynamics.newton` solves a step. The functions are inlined into
-`march`: to pass them structures of many arrays took a quarter of a step.
+The equations are in `sim.dynamics.simulate`; `sim.dynamics.newton` solves a step. Functions of structures of arrays
+are inlined into `march`: to pass these took a quarter of a step.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> 
         interpolate(now.q, q.size, structure.air.dshape, now.air)
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def total_energy(now: Moment, structure: Structure, load: FloatArray) -> float:
     """Kinetic, strain and potential energy, which the step conserves; the kinetic one with the modal correction."""
     energy = axial_energy(now.axial, structure.axial)

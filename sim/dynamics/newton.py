@@ -156,7 +156,7 @@ def empty_workspace(n: int, r: int, points: int, windy: int) -> Workspace:
     )
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> None:
     """Write ``modal x`` to `out`, of the rows from `first` on; `modal` has one row a mode, `x` may be longer."""
     for r in range(first, modal.shape[0]):
@@ -166,7 +166,7 @@ def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> No
         out[r] = total
 
 
-@register_jitable(fastmath=REORDER, forceinline=True)
+@register_jitable(fastmath=REORDER)
 def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray) -> None:
     """Add ``modal^T factors`` of the rows from `first` on to `out`."""
     r, last = first, modal.shape[0]
@@ -183,7 +183,7 @@ def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray
         r += 1
 
 
-@register_jitable(forceinline=True)
+@register_jitable
 def woodbury(workspace: Workspace, rows: FloatArray, gain: FloatArray, first: int) -> None:
     """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, from the factors of A."""
     n, r = workspace.inverse_pivot.size, rows.shape[0]
