@@ -381,24 +381,27 @@ def _mode_table(recordings: list[dict[str, Any]], config: str) -> Table:
     table = Table(Column("recording", overflow="fold"), box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("mode", "frequency / Hz", "damping ratio / %", "90 % interval / %"):
         table.add_column(heading, no_wrap=True)
-    for recording in recordings:
-        for mode in (mode for mode in recording["modes"] if mode["target"]):
-            sd = 100 * _number(mode[DAMPING[1].name])
-            low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
-            cells = (
-                recording["recording"],
-                "" if mode["mode"] is None else str(mode["mode"]),
-                _frequency(recording, mode, clock_is_known="fps_tolerance_ppm" in config),
-                _with_sd(mode, DAMPING, 100.0),
-                interval(low, high, sd),
-            )
-            table.add_row(*map(_text, cells))
-        for line in recording["driven"]:
-            cells = (recording["recording"], "", _frequency(recording, line), "driven", "")
-            table.add_row(*map(_text, cells))
+    for _, cells in (row for recording in recordings for row in mode_cells(recording, config)):
+        table.add_row(*map(_text, cells))
     if any(str(cell).endswith("†") for cell in table.columns[2].cells):
         table.caption = _text("† below 50 ppm, the error of a clock: give camera.fps_tolerance_ppm")
     return table
+
+
+def mode_cells(recording: dict[str, Any], config: str) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
+    """Each target mode and driven motion of the summary of a recording, with its cells of the table of modes.
+
+    A frequency has no mark for its clock where `config`, the text of the configuration, states a tolerance.
+    """
+    known = "fps_tolerance_ppm" in config
+    for mode in (mode for mode in recording["modes"] if mode["target"]):
+        sd = 100 * _number(mode[DAMPING[1].name])
+        low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
+        number = "" if mode["mode"] is None else str(mode["mode"])
+        damping = _with_sd(mode, DAMPING, 100.0), interval(low, high, sd)
+        yield mode, (recording["recording"], number, _frequency(recording, mode, clock_is_known=known), *damping)
+    for line in recording["driven"]:
+        yield line, (recording["recording"], "", _frequency(recording, line), "driven", "")
 
 
 def _beside_the_table(recording: dict[str, Any], *, has_beam: bool) -> list[str]:

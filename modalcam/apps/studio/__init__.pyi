@@ -19,6 +19,11 @@ from .frames import markers_text as markers_text
 from .frames import on_canvas as on_canvas
 from .frames import overlay as overlay
 from .frames import trail as trail
+from .next_step import Stand as Stand
+from .next_step import done_views as done_views
+from .next_step import next_step as next_step
+from .remarks import ranked as ranked
+from .results import run_results as run_results
 from .run import Runner as Runner
 from .run import RunState as RunState
 from .server import MOST_BODY_BYTES as MOST_BODY_BYTES

@@ -25,8 +25,16 @@ from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
 from modalcam.pipeline import Workspace, load_recording
-from modalcam.report import stability_of
-from tracker import ComplexArray, DisplacementSeries, Failure, FloatArray, MarkerTracks, displacement_series
+from modalcam.report import residual, stability_of
+from tracker import (
+    BoolArray,
+    ComplexArray,
+    DisplacementSeries,
+    Failure,
+    FloatArray,
+    MarkerTracks,
+    displacement_series,
+)
 
 # Points of a drawn curve: the smallest and the largest of each of half as many parts of the record.
 _MOST_POINTS = 3000
@@ -74,7 +82,9 @@ class Decay:
     """One channel of a recording with what was found in all of them.
 
     `curve` is (time in s, displacement in `unit`), `spectrum` (frequency in Hz, amplitude in `unit`), `parts` (kind,
-    start, end) in s, `poles` the points of the stabilisation chart.
+    start, end) in s, `poles` are the points of the stabilisation chart, `doubts` say which modes were not found or may
+    be wrong, and why. `fit` and `residual` are curves like `curve`, NaN where no sample is fitted, and `fitted_s` their
+    (start, end) in s; without a fit there is none.
     """
 
     channels: tuple[str, ...]
@@ -87,6 +97,10 @@ class Decay:
     modes: tuple[FoundMode, ...]
     notes: tuple[str, ...]
     poles: tuple[Pole, ...] = ()
+    fit: tuple[tuple[float, float], ...] = ()
+    residual: tuple[tuple[float, float], ...] = ()
+    fitted_s: tuple[float, float] | None = None
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -154,11 +168,10 @@ def shown_decay(
     )
     parts = () if identified is None else tuple((p.kind, p.start_s, p.end_s) for p in identified.segments)
     failed = () if identified is None else identified.failed
-    notes = () if identified is None else identified.notes
-    notes += tuple(
+    doubts = tuple(
         f"{f.frequency_hz:.4g} Hz: {f.reason}" if np.isfinite(f.frequency_hz) else f.reason for f in failed
     )
-    return Decay(
+    decay = Decay(
         series.channels,
         series.channels[k],
         series.unit,
@@ -167,8 +180,24 @@ def shown_decay(
         (float(series.time_s[0]), float(series.time_s[-1])),
         parts,
         modes,
-        notes,
+        () if identified is None else identified.notes,
         () if identified is None else stabilisation(identified),
+        doubts=doubts,
+    )
+    return decay if identified is None else _with_fit(decay, identified, k, rows)
+
+
+def _with_fit(decay: Decay, found: Identification, k: int, rows: BoolArray) -> Decay:
+    """The decay with what was fitted to channel `k` at these rows, if anything was."""
+    time_s, used = found.series.time_s, found.used[:, k] & np.isfinite(found.fitted[:, k])
+    if not used.any():
+        return decay
+    fit, left = np.where(used, found.fitted[:, k], np.nan)[rows], residual(found)[rows, k]
+    return replace(
+        decay,
+        fit=thinned(time_s[rows], fit),
+        residual=thinned(time_s[rows], left),
+        fitted_s=(float(time_s[used][0]), float(time_s[used][-1])),
     )
 
 
@@ -191,7 +220,7 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
         "too slowly for so few frames; track later frames, or all."
         for m in slow
     )
-    return replace(decay, modes=modes, notes=(*decay.notes, *notes))
+    return replace(decay, modes=modes, doubts=(*decay.doubts, *notes))
 
 
 def _drive_probability(mode: FoundMode, length_s: float) -> float:

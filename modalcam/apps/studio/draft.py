@@ -32,8 +32,16 @@ Value = str | int | float | list[Any]
 
 def with_option(text: str, section: str, key: str, value: Value | None) -> str:
     """The text with an option of ``[section]`` set, or removed where `value` is None."""
+    return with_section(text, section, {key: value})
+
+
+def with_section(text: str, section: str, values: Mapping[str, Value | None] | None) -> str:
+    """The text with options of ``[section]`` set, or removed where they are None; without it where `values` is None."""
     document = _document(text)
-    _set(_section(document, section) if value is not None else document.get(section), key, value)
+    if values is None:
+        document.pop(section, None)
+    for key, value in (values or {}).items():
+        _set(_section(document, section) if value is not None else document.get(section), key, value)
     return str(tomlkit.dumps(document))
 
 
@@ -179,7 +187,11 @@ class Draft:
 
     def set_for_all(self, section: str, key: str, value: Value | None) -> None:
         """Set an option of a section, or remove it; ConfigError where the result is not a valid configuration."""
-        self._edit(lambda text: with_option(text, section, key, value))
+        self.set_section(section, {key: value})
+
+    def set_section(self, section: str, values: Mapping[str, Value | None] | None) -> None:
+        """Set options of a section together, or remove it with what is in it; ConfigError as in `set_for_all`."""
+        self._edit(lambda text: with_section(text, section, values))
 
     def set_for(self, file: str, values: Mapping[str, Value | None]) -> None:
         """Set options of one recording, or remove those that are None; ConfigError as in `set_for_all`.

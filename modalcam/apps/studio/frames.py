@@ -132,7 +132,10 @@ def markers_text(recording: RecordingConfig) -> str:
 
 @dataclass(frozen=True)
 class FrameTask:
-    """A frame to be shown; `stamps` is that of `read_frame`, `width_px` the largest width of the picture."""
+    """A frame to be shown; `stamps` is that of `read_frame`.
+
+    With `width_px`, the largest width of the picture, a frame that is higher than wide is turned, its top at the left.
+    """
 
     path: Path
     index: int
@@ -146,6 +149,8 @@ def frame_png(task: FrameTask) -> bytes | Failure:
         image = to_8_bit(read_frame(task.path, task.index, task.stamps))
     except UnreadableVideoError as error:
         return Failure(str(error))
+    if task.width_px is not None and image.shape[0] > image.shape[1]:
+        image = np.ascontiguousarray(np.rot90(image))
     height, width = image.shape
     if task.width_px is not None and width > task.width_px:
         size = (task.width_px, max(1, round(height * task.width_px / width)))

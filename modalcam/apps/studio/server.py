@@ -187,7 +187,7 @@ async def _respond(send: Send, status: int, body: bytes, headers: list[tuple[byt
     await send({"type": "http.response.body", "body": body})
 
 
-_THUMBNAIL_PX = 192
+_THUMBNAIL_PX = 320
 # Without an icon of its own, the browser would ask the server for one, which has ended.
 _DONE = (
     '<!doctype html><html lang="en"><title>modalcam pick</title><link rel="icon" href="data:,">'

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, TypeVar
 
 from modalcam.apps.studio.draft import Draft
 from modalcam.apps.studio.frames import FrameTask, frame_png, stamps_of
+from modalcam.apps.studio.next_step import Stand
 from modalcam.apps.studio.run import Runner
-from modalcam.common import ConfigError, InputError, ModalcamError, real, shown
+from modalcam.common import ConfigError, ExitCode, InputError, ModalcamError, real, shown
 from modalcam.config import CONFIG_NAME, ExperimentConfig, RecordingConfig, tracker_settings
-from modalcam.inputs import Discovery, Found, Probe, discover, probe_recordings
+from modalcam.inputs import RATE_UNKNOWN, Discovery, Found, Probe, discover, probe_recordings
 from modalcam.pipeline import FrameCount, Limits, TaskFailure, WorkerPool, Workspace, worker_pool
 from tracker import Failure
 
 if TYPE_CHECKING:
     from modal_id import Identification
     from modalcam.apps.studio.decay import Decay, ExpectedIntervals
+    from modalcam.apps.studio.results import RunResults
     from modalcam.apps.studio.trial import DetectedMarker, Proposals, Trial, TrialTask
     from tracker import FailedTracking, MarkerTracks
 
@@ -101,8 +103,14 @@ class Studio:
         self._trials: dict[int, tuple[Trial, ExpectedIntervals | Failure | None]] = {}
         self._identified: dict[int, _IdentifiedTrial] = {}
         self._counter: FrameCount | None = None
+        self._to_track = 0
         self._probes: tuple[Probe, ...] | None = None
         self._counting = threading.Lock()
+        # Text of the configuration of the last run; recordings without a result in it.
+        self._run_text: str | None = None
+        self.failures = 0
+        self.markers_seen = self.decay_seen = False
+        self._stand: tuple[object, Stand] = None, Stand()
 
     def probes(self) -> tuple[Probe, ...]:
         """Properties of each recording, without its options of the configuration; read once."""
@@ -141,6 +149,7 @@ class Studio:
         """Markers in the first frames of a recording, with the options of the draft."""
         from modalcam.apps.studio.trial import DETECTION_FRAMES, detected  # noqa: PLC0415 - heavy
 
+        self.markers_seen = True
         return self._tracked(detected, self._trial_task(number, DETECTION_FRAMES))
 
     def propose(self, number: int) -> Proposals | Failure:
@@ -158,12 +167,14 @@ class Studio:
 
     def track_some(self, number: int, frames: int, first: int = 0) -> Trial | FailedTracking:
         """Test track of some frames of a recording, from `first` on, with the options of the draft."""
-        from modalcam.apps.studio.trial import trial_track  # noqa: PLC0415 - heavy
+        from modalcam.apps.studio.trial import TrialCount, trial_track  # noqa: PLC0415 - heavy
         from tracker import FailedTracking  # noqa: PLC0415
 
-        task = self._trial_task(number, frames)
+        task, count = self._trial_task(number, frames), self.frame_count(number)
+        self._to_track = 0 if isinstance(count, Failure) else min(first + frames, count)
         with TemporaryDirectory() as folder:
-            self._counter = FrameCount(Path(folder) / "count")
+            self._counter = TrialCount(Path(folder) / "count")
+            self._counter.begin()
             if not isinstance(task, Failure):
                 task = replace(task, counter=self._counter, first=first)
             found: Trial | FailedTracking | Failure = self._tracked(trial_track, task)
@@ -175,10 +186,15 @@ class Studio:
             self._trials[number] = found, None
         return found
 
-    def frames_tracked(self) -> int:
-        """Number of frames that the test track now going on is done with; 0 while markers are learned."""
+    def frames_tracked(self) -> tuple[int, int]:
+        """Frames that the test track now going on is done with, 0 while markers are learned, and all of them."""
         counted = self._counter and self._counter.read()
-        return counted[0] if counted else 0
+        return counted[0] if counted else 0, self._to_track
+
+    def cancel_trial(self) -> None:
+        """End the test track that goes on at its next frame."""
+        if self._counter is not None:
+            self._counter.end()
 
     def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Failure | None] | None:
         """The last test track of a recording and what a run would give, None until `expect` has found out.
@@ -246,7 +262,7 @@ class Studio:
             shown = shown_decay(displacement_series(tracks), None, channel)
         except ValueError as error:
             return Failure(str(error))
-        return shown if isinstance(shown, Failure) else replace(shown, notes=(found.reason,))
+        return shown if isinstance(shown, Failure) else replace(shown, doubts=(found.reason,))
 
     def _tracked(
         self, function: Callable[[Task], Answer | Failure], task: Task | Failure
@@ -281,11 +297,69 @@ class Studio:
             if probe.packets is not None and not options.for_recording(found.file).leave_out
         }
         self.runner.start(self.folder, self.workspace.out, config, frames)
+        self._run_text, self.decay_seen = self.draft.text, False
+
+    def results(self) -> RunResults | Failure:
+        """Modes and failures of the last run, where `report` gives one."""
+        from modalcam.apps.studio.results import RunResults, run_results  # noqa: PLC0415 - heavy
+
+        if self.workspace is None or self.report() is None:
+            return Failure("there is no report yet")
+        found = run_results(self.workspace.summary)
+        self.failures = len(found.failures) if isinstance(found, RunResults) else 0
+        return found
 
     def report(self) -> Path | None:
         """The report of the last run; None without one, and where it is a link."""
         found = None if self.workspace is None else self.workspace.report
         return found if found is not None and found.is_file() and not found.is_symlink() else None
+
+    def stand(self) -> Stand:
+        """How far the work is."""
+        known = self.draft.version, self._probes is None
+        if self._stand[0] != known:
+            self._stand = known, self._stand_of_draft()
+        stand = self._stand[1]
+        return replace(
+            stand,
+            markers_seen=stand.markers_seen or self.markers_seen,
+            is_tracked=bool(self._trials),
+            is_running=self.runner.is_running,
+            is_reported=self._is_reported(),
+            failures=self.failures,
+            decay_seen=self.decay_seen,
+        )
+
+    def _stand_of_draft(self) -> Stand:
+        """How far the work is by the options and what the files hold."""
+        options = self.draft.config
+        notes = ((),) * len(self.recordings) if self._probes is None else [p.notes for p in self._probes]
+        own = [options.for_recording(found.file) for found in self.recordings]
+        wanted = [(one, of) for one, of in zip(own, notes, strict=True) if not one.leave_out]
+        is_unknown = (one.fps is None and any(n.startswith(RATE_UNKNOWN) for n in of) for one, of in wanted)
+        problems = (f"{shown(one.file)}: {why}" for one, _ in wanted if (why := _contradiction(one)))
+        return Stand(
+            is_read=self._probes is not None,
+            recordings=len(wanted),
+            without_rate=tuple(
+                shown(one.file) for (one, _), so in zip(wanted, is_unknown, strict=True) if so
+            ),
+            problem=next(problems, ""),
+            has_beam=options.beam is not None and not options.beam.missing(),
+            markers_seen=any(one.points_px or one.line_px for one, _ in wanted),
+        )
+
+    def _is_reported(self) -> bool:
+        """Whether there is a report, and no change since: none of the page, and none of the file."""
+        found = self.report()
+        if found is None or self.draft.is_changed or self.runner.is_running:
+            return False
+        path = self.draft.path
+        newer = path.exists() and path.stat().st_mtime > found.stat().st_mtime
+        # A run that finds nothing to do leaves the report as it is.
+        state = self.runner.state
+        has_run = state is not None and state.exit_code in (ExitCode.OK, ExitCode.PARTIAL)
+        return not newer or (has_run and self._run_text == self.draft.text)
 
     def _path(self, number: int) -> Path | Failure:
         if not 0 <= number < len(self.recordings):
@@ -333,8 +407,12 @@ def pools() -> Iterator[Pools]:
 
 def options_error(draft: Draft, file: str) -> str:
     """What contradicts in the options of a recording; empty if nothing does."""
+    return _contradiction(draft.recording(file))
+
+
+def _contradiction(recording: RecordingConfig) -> str:
     try:
-        tracker_settings(draft.recording(file))
+        tracker_settings(recording)
     except (ConfigError, ValueError) as error:
         return str(error)
     return ""

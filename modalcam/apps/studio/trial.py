@@ -149,6 +149,21 @@ class DetectedMarker:
     frame: int = 0
 
 
+class TrialCancelledError(Exception):
+    """A test track was cancelled."""
+
+
+@dataclass(frozen=True)
+class TrialCount(FrameCount):
+    """A count whose removal cancels the test track that counts."""
+
+    def __call__(self, done: int, declared: int) -> None:
+        """Note the frames done; TrialCancelledError if the count was removed."""
+        if not self.path.exists():
+            raise TrialCancelledError
+        super().__call__(done, declared)
+
+
 @dataclass(frozen=True)
 class TrialTask:
     """Frames of a recording to be tracked, from the frame `first` on; the `counter` is told how far it is."""
@@ -194,8 +209,15 @@ def proposed(task: TrialTask) -> Proposals | Failure:
     images = _first_images(task)
     if isinstance(images, Failure):
         return images
+    # What is followed already need not be proposed.
+    found = detected(task)
+    known = () if isinstance(found, Failure) else found
     images = [filled(image, task.settings.leave_out_px) for image in images]
-    points = tuple((float(x), float(y)) for x, y in propose_points(images))
+    points = tuple(
+        (float(x), float(y))
+        for x, y in propose_points(images)
+        if all(np.hypot(x - one.x_px, y - one.y_px) > one.size_px for one in known)
+    )
     line = find_line(images)
     if isinstance(line, Failure):
         return Proposals(points, None, line.reason)
@@ -247,6 +269,8 @@ def trial_track(task: TrialTask) -> Trial | FailedTracking:
             windows = followed_windows(
                 tracks, images, evenly(len(tracks.markers), _MOST_WINDOWS), _half_px(task, tracks)
             )
+    except TrialCancelledError:
+        return FailedTracking("the test track was cancelled", task.file)
     except UnreadableVideoError as error:
         return FailedTracking(str(error), task.file)
     exposure_s, step_s = task.settings.exposure_s, float(np.median(np.diff(tracks.time_s)))

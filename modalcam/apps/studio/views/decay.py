@@ -10,6 +10,7 @@ from nicegui import ui
 
 from modalcam.apps.studio.decay import Decay, FoundMode, peak_near
 from modalcam.apps.studio.draft import Draft
+from modalcam.apps.studio.remarks import Rank
 from modalcam.apps.studio.views.shared import (
     PageState,
     button,
@@ -17,6 +18,7 @@ from modalcam.apps.studio.views.shared import (
     heading,
     in_thread,
     number,
+    remark,
     scrolled,
     table_head,
 )
@@ -25,6 +27,7 @@ from tracker import Failure
 
 # Legible on light and on dark ground.
 _INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
+_MEASURED, _FITTED = "measured", "fit"
 # Fill of a part of the record; its kind is written in it.
 _FILLS = {"decay": "#0a8f6a26", "driven": "#e69f0026"}
 _OTHER_FILL = "#80808040"
@@ -49,7 +52,7 @@ def chart(options: dict[str, Any], name: str) -> Any:
 def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], scale: str) -> dict[str, Any]:
     return {
         "animation": False,
-        "grid": {"left": 80, "right": 20, "top": 30, "bottom": 50},
+        "grid": {"left": 80, "right": 20, "top": 30, "bottom": 64},
         "xAxis": {
             "type": "value",
             "name": x_name,
@@ -59,21 +62,35 @@ def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], 
             **_AXIS,
         },
         "yAxis": {"type": scale, "name": y_name, "nameGap": 60, **_AXIS},
-        "dataZoom": [{"type": "inside"}],
-        "series": [
-            {
-                "type": "line",
-                "data": [list(point) for point in points],
-                "showSymbol": False,
-                "lineStyle": {"width": 1, "color": _CURVE},
-            }
-        ],
+        # Whole again, where a chart shows something else than before.
+        "dataZoom": [{"type": "inside", "start": 0, "end": 100}],
+        "series": [_line(points, _CURVE)],
     }
 
 
+def _line(points: tuple[tuple[float, float], ...], colour: str, name: str = "") -> dict[str, Any]:
+    return {
+        "type": "line",
+        "name": name,
+        "data": [list(point) for point in points],
+        "showSymbol": False,
+        "color": colour,
+        "lineStyle": {"width": 1, "color": colour},
+    }
+
+
+def residual_options(decay: Decay) -> dict[str, Any]:
+    """What the fit leaves of the displacement, on the time axis of the displacement."""
+    options = _options("time / s", f"residual / {decay.unit}", decay.residual, "value")
+    return options | {"xAxis": options["xAxis"] | {"min": decay.curve[0][0], "max": decay.curve[-1][0]}}
+
+
 def curve_options(decay: Decay) -> dict[str, Any]:
-    """Displacement over time, with the parts of the record."""
+    """Displacement over time and its fit, with the parts of the record."""
     options = _options("time / s", f"displacement / {decay.unit}", decay.curve, "value")
+    options["series"][0]["name"] = _MEASURED
+    options["series"].append(_line(decay.fit, _MARK, _FITTED))
+    options["legend"] = {"bottom": 0, "right": 20, "textStyle": {"color": _INK}, "data": [_MEASURED, _FITTED]}
     # Names of short parts would lie over each other.
     least_s = _LEAST_NAMED * (decay.span_s[1] - decay.span_s[0])
     options["series"][0]["markArea"] = {
@@ -264,7 +281,17 @@ class DecayView:
             ui.button("Identify the test track", on_click=lambda: self._load(state.studio.decay_of_trial))
             ui.button("Show the last run", on_click=lambda: self._load(state.studio.decay))
         self._status = ui.label("").props('role="status"').classes("status")
-        self._result()
+        # The charts stay, and show other data: one that is removed before it is drawn raises an error in the browser.
+        with ui.element("div").classes("full") as self._box:
+            self._channels = ui.select([], label="Marker", on_change=lambda e: self._choose(e.value))
+            self._channels.props("outlined dense options-dense").classes("number")
+            self._curve = chart({}, "Displacement over time with the fit, and the parts of the record")
+            self._part()
+            self._residual = chart({}, "Residual of the fit over time")
+            self._spectrum = chart({}, "Amplitude spectrum with the modes, and stabilisation of their poles")
+            picked = _FREQUENCY_OF_CLICK % self._spectrum.id
+            self._spectrum.on("click", lambda event: self._modes.pick(event.args), js_handler=picked)
+            self._result()
         self._clear()
         state.when_recording_changes(self._clear)
 
@@ -281,7 +308,7 @@ class DecayView:
     def _clear(self) -> None:
         self._decay, self._channel = None, None
         self._status.text = f"{shown(self._state.file)}: track its first frames, or run."
-        self._result.refresh()
+        self._show()
 
     async def _load(self, source: Callable[..., Decay | Failure]) -> None:
         at, self._source = self._state.number, source
@@ -291,66 +318,76 @@ class DecayView:
             return
         self._decay = None if isinstance(found, Failure) else found
         self._status.text = shown(found.reason) if isinstance(found, Failure) else shown(self._state.file)
-        self._result.refresh()
+        self._show()
 
     async def _choose(self, channel: str) -> None:
         if channel != self._channel:
             self._channel = channel
             await self._load(self._source)
 
+    def _show(self) -> None:
+        decay = self._decay
+        self._box.visible = decay is not None
+        if decay is not None:
+            self._state.studio.decay_seen = True
+            self._channels.set_options(list(decay.channels), value=decay.channel)
+            self._residual.visible = bool(decay.residual)
+            for one, options in (
+                (self._curve, curve_options(decay)),
+                (self._residual, residual_options(decay)),
+                (self._spectrum, spectrum_options(decay)),
+            ):
+                one.options.clear()
+                one.options.update(options)
+                one.update()
+            self._show_part(decay)
+        self._result.refresh()
+
     @ui.refreshable_method
     def _result(self) -> None:
-        decay = self._decay
-        if decay is None:
-            return
-        ui.select(
-            list(decay.channels),
-            label="Marker",
-            value=decay.channel,
-            on_change=lambda e: self._choose(e.value),
-        ).props("outlined dense options-dense").classes("number")
-        chart(curve_options(decay), "Displacement over time, with the parts of the record")
-        self._part(decay)
-        spectrum = chart(
-            spectrum_options(decay), "Amplitude spectrum with the modes, and stabilisation of their poles"
-        )
-        spectrum.on(
-            "click", lambda event: self._modes.pick(event.args), js_handler=_FREQUENCY_OF_CLICK % spectrum.id
-        )
-        self._modes = ModeChoice(self._state, decay, self._changed)
-        for note in decay.notes:
-            ui.label(shown(note))
+        if self._decay is not None:
+            self._modes = ModeChoice(self._state, self._decay, self._changed)
+            for note in self._decay.doubts:
+                remark(Rank.DOUBTFUL, note)
+            for note in self._decay.notes:
+                remark(Rank.NOTE, note)
 
-    def _part(self, decay: Decay) -> None:
-        recording, (first, last) = self._state.recording, decay.span_s
-        start = first if recording.onset_s is None else recording.onset_s
-        end = last if recording.end_s is None else recording.end_s
-        step = max((last - first) / 1000.0, 1e-4)
-        band = ui.range(min=first, max=last, step=step, value={"min": start, "max": end}).classes("band")
-        band.props('drag-range aria-label="Part of the record that is used, in s"')
+    def _part(self) -> None:
+        """The slider of the part that is used, and its ends as numbers."""
+        self._band = ui.range(min=0.0, max=1.0, value={"min": 0.0, "max": 1.0}).classes("band")
+        self._band.props('drag-range aria-label="Part of the record that is used, in s"')
         with ui.row().classes("frames"):
-            onset = number("Start / s", value=start, step=0.01, format="%.4f")
-            until = number("End / s", value=end, step=0.01, format="%.4f")
-            # An end that was not moved is no limit: a test track ends before its recording.
-            ui.button(
-                "Use this part",
-                on_click=lambda: self._use(
-                    onset.value, until.value if (until.value or last) < last - step else None
-                ),
-            )
+            self._onset = number("Start / s", step=0.01, format="%.4f")
+            self._until = number("End / s", step=0.01, format="%.4f")
+            ui.button("Use this part", on_click=self._use_part)
             ui.button("Detect the decay", on_click=lambda: self._use(None, None))
+        self._band.on_value_change(lambda event: self._moved(**event.value))
 
-        def tell(low: float, high: float) -> None:
-            # Quasar's range states its limits to a screen reader, but not where its ends are.
-            band.props["aria-valuenow"] = low
-            band.props["aria-valuetext"] = f"{low:.4g} to {high:.4g} s"
+    def _show_part(self, decay: Decay) -> None:
+        """The part given, or else the one that was fitted."""
+        recording, (first, last) = self._state.recording, decay.span_s
+        start, end = decay.fitted_s or decay.span_s
+        self._ends = (
+            start if recording.onset_s is None else recording.onset_s,
+            end if recording.end_s is None else recording.end_s,
+        )
+        self._band.props.update({"min": first, "max": last, "step": max((last - first) / 1000.0, 1e-4)})
+        self._band.set_value({"min": self._ends[0], "max": self._ends[1]})
+        self._moved(*self._ends)
 
-        def moved(event: Any) -> None:
-            onset.value, until.value = event.value["min"], event.value["max"]
-            tell(onset.value, until.value)
+    def _moved(self, min: float, max: float) -> None:  # noqa: A002 - the names of the range's ends
+        self._onset.value, self._until.value = min, max
+        # Quasar's range states its limits to a screen reader, but not where its ends are.
+        self._band.props["aria-valuenow"] = min
+        self._band.props["aria-valuetext"] = f"{min:.4g} to {max:.4g} s"
 
-        tell(start, end)
-        band.on_value_change(moved)
+    def _use_part(self) -> None:
+        until, step = self._until.value, self._band.props["step"]
+        is_moved = until is not None and abs(until - self._ends[1]) > step
+        is_limit = self._state.recording.end_s is not None or is_moved
+        # An end that was not moved is no limit: a test track ends before its recording.
+        at_end = until is None or until >= self._band.props["max"] - step
+        self._use(self._onset.value, None if at_end or not is_limit else until)
 
     async def _changed(self) -> None:
         """Identify a test track again with the options as they are; a run is what it was."""

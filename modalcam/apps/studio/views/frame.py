@@ -54,17 +54,6 @@ class FrameView:
         self._draw()
 
     def _controls(self) -> None:
-        names = dict(enumerate(shown(found.file) for found in self._state.studio.recordings))
-        self._select = (
-            ui.select(
-                names,
-                label="Recording",
-                value=self._state.number,
-                on_change=lambda e: self._state.choose(e.value),
-            )
-            .props("outlined dense options-dense")
-            .classes("recording")
-        )
         with ui.row().classes("frames"):
             self._index = number("Frame", value=0, min=0, step=1, format="%d", on_change=self._show)
             self._index.props("debounce=50")
@@ -127,7 +116,6 @@ class FrameView:
         self._index.max = max(count - 1, 0)
 
     def _changed_recording(self) -> None:
-        self._select.value = self._state.number
         self._index.value = 0
         self._slider.props["max"] = 0
         self._total.text = "counting frames"

@@ -316,10 +316,7 @@ class FoundView:
         if isinstance(found, Failure):
             self.tell(found.reason)
             return
-        # What is followed already need not be proposed.
-        own = self._state.recording.points_px or ()
-        new = (p for p in found.points if markers_edit.nearest_point(own, p, REACH_PX) is None)
-        self._points = dict(enumerate(new, 1))
+        self._points = dict(enumerate(found.points, 1))
         self._line = found.line
         points = (
             "Click a proposed point, or press Use beside it, where it lies on the part that vibrates."

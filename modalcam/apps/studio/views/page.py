@@ -5,18 +5,19 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from modalcam.apps.studio.session import Studio
+from modalcam.apps.studio.views.beam import BeamView
 from modalcam.apps.studio.views.decay import DecayView
 from modalcam.apps.studio.views.frame import FrameView
 from modalcam.apps.studio.views.recordings import RecordingsView
 from modalcam.apps.studio.views.run import RunView, TrialView
-from modalcam.apps.studio.views.shared import PageState, SaveBar, SaveDialog
+from modalcam.apps.studio.views.shared import PageState, SaveBar, SaveDialog, WhereBar
 
 _ASSETS = Path(__file__).parent
 _TICK_S = 0.5
-_VIEWS = ("Recordings", "Markers", "Test track", "Run and report", "Decay")
+_VIEWS = ("Recordings", "Markers", "Beam", "Test track", "Run and report", "Decay")
 
 
 def build_page(studio: Studio) -> None:
@@ -34,23 +35,36 @@ def build_page(studio: Studio) -> None:
         SaveBar(state, dialog)
     for note in studio.draft.notes:
         ui.label(note).classes("notice")
-    with (
-        ui.element("div").classes("views"),
-        ui.tab_panels(tabs, value=names[0]).props("keep-alive").classes("panels"),
-    ):
-        with ui.tab_panel(names[0]):
-            RecordingsView(state, lambda: tabs.set_value(names[1].props["name"]))
-        with ui.tab_panel(names[1]):
-            FrameView(state)
-        with ui.tab_panel(names[2]):
-            TrialView(state)
-        with ui.tab_panel(names[3]):
-            RunView(state, dialog)
-        with ui.tab_panel(names[4]):
-            decay = DecayView(state)
-    tabs.on_value_change(lambda event: decay.opened() if event.value == names[4].props["name"] else None)
+    with ui.element("div").classes("views"):
+        where = WhereBar(state, partial(_tick, dict(zip(_VIEWS, names, strict=True))))
+        with ui.tab_panels(tabs, value=names[0]).props("keep-alive").classes("panels"):
+            with ui.tab_panel(names[0]):
+                RecordingsView(state, lambda: tabs.set_value(_VIEWS[1]))
+            with ui.tab_panel(names[1]):
+                FrameView(state)
+            with ui.tab_panel(names[2]):
+                BeamView(state)
+            with ui.tab_panel(names[3]):
+                TrialView(state)
+            with ui.tab_panel(names[4]):
+                RunView(state, dialog)
+            with ui.tab_panel(names[5]):
+                decay = DecayView(state)
+
+    def look_at_decay() -> None:
+        if tabs.value == _VIEWS[5]:
+            background_tasks.create(decay.opened())
+
+    tabs.on_value_change(look_at_decay)
+    state.when_recording_changes(look_at_decay)
     # Another page of the same studio may change the draft.
     ui.timer(_TICK_S, state.look)
+    ui.timer(_TICK_S, where.look)
+
+
+def _tick(tabs: dict[str, ui.tab], done: frozenset[str]) -> None:
+    for name, tab in tabs.items():
+        tab.props["label"] = f"{name} ✓" if name in done else name
 
 
 def build_pick_page(studio: Studio) -> None:

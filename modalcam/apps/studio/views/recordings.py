@@ -7,10 +7,22 @@ from typing import Any
 
 from nicegui import ui
 
+from modalcam.apps.studio.draft import Value
 from modalcam.apps.studio.frames import markers_text
 from modalcam.apps.studio.markers import parse_rate
-from modalcam.apps.studio.views.shared import PageState, button, heading, in_thread, scrolled, table_head
+from modalcam.apps.studio.remarks import Rank
+from modalcam.apps.studio.views.shared import (
+    PageState,
+    button,
+    heading,
+    in_thread,
+    remark,
+    scrolled,
+    table_head,
+)
+from modalcam.apps.studio.views.shared import number as number_field
 from modalcam.common import shown
+from modalcam.config import option
 from modalcam.inputs import RATE_UNKNOWN, Probe
 
 RATE_WARNING = (
@@ -25,6 +37,7 @@ _COLUMNS = (
     "frames",
     "rate in the file",
     "recorded rate / fps",
+    "mode",
     "in the run",
     "markers",
 )
@@ -41,6 +54,7 @@ class RecordingsView:
         self._probes: tuple[Probe, ...] = ()
         self._page = 1
         self._rates: dict[int, Any] = {}
+        self._modes: dict[int, Any] = {}
         self._notes: dict[int, Any] = {}
         self._markers: dict[int, Any] = {}
         self._included: dict[int, Any] = {}
@@ -59,23 +73,32 @@ class RecordingsView:
         draft = self._state.studio.draft
         with ui.card().classes("notice").props('role="note"'):
             ui.label(RATE_WARNING)
-            rate = ui.input("Recorded rate of all recordings / fps").classes("rate").props("outlined dense")
-            rate.on("change", lambda: self._set_for_all(rate.value))
+            with ui.row():
+                rate = (
+                    ui.input("Recorded rate of all recordings / fps").classes("rate").props("outlined dense")
+                )
+                clock = number_field("Tolerance of the clock / ppm", "rate", min=0)
+            rate.on("change", lambda: self._set_for_all("fps", parse_rate(rate.value)))
+            clock.on("change", lambda: self._set_for_all("fps_tolerance_ppm", clock.value))
+            with clock:
+                ui.tooltip(option("camera.fps_tolerance_ppm").help)
 
         def refresh() -> None:
-            given = draft.config.camera.fps
-            rate.value = "" if given is None else _rate_text(given)
+            camera = draft.config.camera
+            rate.value = "" if camera.fps is None else _rate_text(camera.fps)
+            clock.value = camera.fps_tolerance_ppm
 
         refresh()
         self._state.when_draft_changes(refresh)
 
-    def _set_for_all(self, text: str) -> None:
+    def _set_for_all(self, key: str, value: Value | None) -> None:
         draft = self._state.studio.draft
-        self._state.attempt(lambda: draft.set_for_all("camera", "fps", parse_rate(text)))
+        self._state.attempt(lambda: draft.set_for_all("camera", key, value))
 
     @ui.refreshable_method
     def _list(self) -> None:
-        self._rates, self._notes, self._markers, self._facts, self._included = {}, {}, {}, {}, {}
+        self._rates, self._modes, self._notes, self._markers = {}, {}, {}, {}
+        self._facts, self._included = {}, {}
         recordings = self._state.studio.recordings
         first = (self._page - 1) * _PER_PAGE
         with scrolled(), ui.element("table").classes("list"):
@@ -98,14 +121,16 @@ class RecordingsView:
         name = shown(found.file)
         with ui.element("tr").classes("facts"):
             with ui.element("td"):
-                picture = ui.element("img").classes("thumbnail").props('loading="lazy" width="96"')
+                picture = ui.element("img").classes("thumbnail").props('loading="lazy" width="160"')
                 picture.props["src"] = f"/thumbnail/{number}.png"
-                picture.props["alt"] = f"First frame of {name}"
+                picture.props["alt"] = f"First frame of {name}, turned by 90° if it is higher than wide"
             with ui.element("th").props('scope="row"'):
                 ui.label(name)
             self._facts[number] = tuple(_cell() for _ in range(3))
             with ui.element("td"):
                 self._rate(number)
+            with ui.element("td"):
+                self._mode(number)
             with ui.element("td"):
                 self._include(number)
             with ui.element("td"), ui.row().classes("actions"):
@@ -113,7 +138,7 @@ class RecordingsView:
                 open_it = button("Set markers", lambda: self._open(number), f"Set markers of {name}")
                 open_it.props("no-caps no-wrap")
         with ui.element("tr").classes("notes"), ui.element("td").props(f"colspan={len(_COLUMNS)}"):
-            self._notes[number] = ui.label("")
+            self._notes[number] = ui.element("div")
         self._update_row(number)
 
     def _rate(self, number: int) -> None:
@@ -128,6 +153,23 @@ class RecordingsView:
 
         box.on("change", change)
         self._rates[number] = box
+
+    def _mode(self, place: int) -> None:
+        state, file = self._state, self._state.studio.recordings[place].file
+        box = number_field("", "mode", min=1, step=1, format="%d")
+        box.props["aria-label"] = f"Number of the mode of {shown(file)}"
+        with box:
+            ui.tooltip(option("recordings.mode").help)
+
+        def change() -> None:
+            given = None if box.value is None else int(box.value)
+            # The configuration takes either.
+            other = {} if given is None else {"target_frequency_hz": None}
+            if given != state.studio.draft.recording(file).mode:
+                state.attempt(lambda: state.studio.draft.set_for(file, {"mode": given, **other}))
+
+        box.on("change", change)
+        self._modes[place] = box
 
     def _include(self, number: int) -> None:
         state = self._state
@@ -159,6 +201,7 @@ class RecordingsView:
         recording = studio.draft.recording(studio.recordings[number].file)
         self._markers[number].text = markers_text(recording)
         self._included[number].value = not recording.leave_out
+        self._modes[number].value = recording.mode
         probe = self._probes[number] if self._probes else None
         for label, text in zip(self._facts[number], _facts(probe), strict=True):
             label.text = shown(text)
@@ -168,10 +211,12 @@ class RecordingsView:
         )
         if probe is not None:
             notes = [n for n in probe.notes if not n.startswith(RATE_UNKNOWN)]
-            if len(notes) < len(probe.notes) and not given:
-                notes.append(_TYPE_RATE)
-            texts = (text.rstrip(".") for text in (probe.problem, *notes) if text)
-            self._notes[number].text = shown("; ".join(texts))
+            unknown = _TYPE_RATE if len(notes) < len(probe.notes) and not given else ""
+            self._notes[number].clear()
+            with self._notes[number]:
+                for rank, texts in zip(Rank, ([probe.problem], [unknown], notes), strict=True):
+                    for text in filter(None, texts):
+                        remark(rank, text)
 
     def _open(self, number: int) -> None:
         self._state.choose(number)

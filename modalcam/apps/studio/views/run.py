@@ -7,9 +7,11 @@ from base64 import b64encode
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from modalcam.apps.studio.frames import marked, trail
+from modalcam.apps.studio.remarks import Rank, ranked
+from modalcam.apps.studio.results import MODE_COLUMNS, RunResults
 from modalcam.apps.studio.run import RunState, StageState
 from modalcam.apps.studio.trial import MOST_LISTED, FollowedWindow, evenly, summarised
 from modalcam.apps.studio.views.shared import (
@@ -18,6 +20,7 @@ from modalcam.apps.studio.views.shared import (
     heading,
     in_thread,
     number,
+    remark,
     scrolled,
     table,
     table_head,
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 _TICK_S = 0.3
 # Rows of the table of stages.
 _MOST_ROWS = 100
+# Names in the picture, where those of the stations of a line would lie over each other, and of tasks that go on.
+_MOST_NAMED = 8
 
 
 class RunView:
@@ -49,13 +54,11 @@ class RunView:
         self._shown: tuple[object, ...] = ()
         self._cells: dict[tuple[str, int], Any] = {}
         self._stages()
-        self._messages = (
-            ui.element("pre").classes("messages").props('tabindex="0" aria-label="Messages of the run"')
-        )
-        with self._messages:
-            self._text = ui.label("")
+        self._messages = ui.element("div").classes("messages")
+        self._messages.props('tabindex="0" role="region" aria-label="Messages of the run"')
+        self._said: list[str] = []
         self._report = ui.element("div").classes("report")
-        self._show_report()
+        ui.timer(0.1, self._show_report, once=True)
         ui.timer(_TICK_S, self._look)
         self._look()
 
@@ -64,7 +67,6 @@ class RunView:
 
     def _run(self) -> None:
         self._state.attempt(self._state.studio.start_run)
-        self._look()
 
     def _look(self) -> None:
         run = self._state.studio.runner.state
@@ -77,9 +79,9 @@ class RunView:
         self._report.visible = not running
         if run is not None:
             self._tell(run)
-        if self._was_running and not running:
-            self._show_report()
-        self._was_running = running
+        was_running, self._was_running = self._was_running, running
+        if was_running and not running:
+            background_tasks.create(self._show_report())
 
     def _tell(self, run: RunState) -> None:
         now_s = time.monotonic()
@@ -88,6 +90,7 @@ class RunView:
             remaining, pace = run.remaining_s(now_s), run.frames_per_s()
             parts = [
                 f"{stage.name}: {stage.done} of {stage.total}" if stage.total else stage.name,
+                f"working on {', '.join([*stage.working][:_MOST_NAMED])}" if stage.working else "",
                 f"{run.elapsed_s(now_s):.0f} s",
                 "" if pace is None else f"{pace:.0f} frames a second",
                 "" if remaining is None else f"about {remaining:.0f} s left of this stage",
@@ -95,9 +98,16 @@ class RunView:
             ]
             self._stage.text = ", ".join(filter(None, parts))
             self._bar.value = run.share
+            # It moves where the tasks of a stage are not counted in frames, and none has ended.
+            self._bar.props["indeterminate"] = not run.share
         else:
             self._stage.text = f"The run took {run.elapsed_s(now_s):.0f} s: {run.outcome}."
-        self._text.text = "\n".join(map(shown, run.messages))
+        if self._said != run.messages:
+            self._said = run.messages
+            self._messages.clear()
+            with self._messages:
+                for rank, text in ranked(run.messages):
+                    remark(rank, text)
         self._show_stages(run)
 
     def _show_stages(self, run: RunState) -> None:
@@ -131,13 +141,17 @@ class RunView:
                             with ui.element("td"):
                                 self._cells[found.name, k] = ui.label("")
 
-    def _show_report(self) -> None:
+    async def _show_report(self) -> None:
+        studio = self._state.studio
+        found = None if studio.report() is None else await in_thread(studio.results)
         self._report.clear()
-        if self._state.studio.report() is None:
+        if found is None:
             return
         with self._report:
             run = self._state.studio.runner.state
             is_of_run = run is None or run.exit_code in (ExitCode.OK, ExitCode.PARTIAL)
+            heading("Modes" if is_of_run else "Modes of an earlier run", 3)
+            _results(found)
             heading("Report" if is_of_run else "Report of an earlier run", 3)
             # A new address each time: the page in the frame is otherwise the one before.
             frame = ui.element("iframe").classes("report-frame")
@@ -147,10 +161,19 @@ class RunView:
             frame.props["sandbox"] = "allow-scripts"
 
 
+def _results(found: RunResults | Failure) -> None:
+    if isinstance(found, Failure):
+        ui.label(shown(found.reason)).classes("problem")
+        return
+    for file, reason in found.failures:
+        remark(Rank.BLOCKING, f"{file}: {reason}")
+    table(MODE_COLUMNS, [tuple(map(shown, row)) for row in found.rows])
+    if any("†" in cell for row in found.rows for cell in row):
+        ui.label("† below 50 ppm, the error of a clock: give its tolerance, under Recordings")
+
+
 _LENGTHS = {64: "64 frames", 128: "128 frames", 300: "300 frames", 10**9: "all frames"}
 _TRIAL_TICK_S = 0.5
-# Names drawn in the picture: those of the stations of a line would lie over each other.
-_MOST_NAMED = 8
 _COLUMNS = (
     "marker",
     "sd / px",
@@ -169,7 +192,8 @@ class TrialView:
 
     def __init__(self, state: PageState) -> None:
         self._state = state
-        self._began_s = 0.0
+        # Of the recording that is tracked.
+        self._at, self._began_s = 0, 0.0
         self._look = ui.timer(_TRIAL_TICK_S, self._tell, active=False)
         heading("Test track")
         ui.label(
@@ -182,8 +206,12 @@ class TrialView:
             )
             self._first = number("From frame", value=0, min=0, step=1, format="%d")
             self._button = ui.button("Track", on_click=self._track)
+            self._cancel = ui.button("Cancel", on_click=state.studio.cancel_trial)
+            self._cancel.visible = False
             self._gain = number("Motion enlarged", value=10, min=1, max=1000, on_change=self._result.refresh)
         self._status = ui.label("").props('role="status"').classes("status")
+        self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Progress of the test track"')
+        self._bar.visible = False
         self._result()
         state.when_recording_changes(self._clear)
         self._clear()
@@ -193,19 +221,26 @@ class TrialView:
         self._result.refresh()
 
     def _tell(self) -> None:
-        frames = self._state.studio.frames_tracked()
-        what = f"{frames} frames tracked" if frames else "learning the markers"
-        self._status.text = f"{shown(self._state.file)}: {what}, {time.monotonic() - self._began_s:.0f} s"
+        done, total = self._state.studio.frames_tracked()
+        self._bar.value = done / total if total else 0.0
+        self._bar.props["indeterminate"] = not done
+        what = f"{done} of {total} frames tracked" if done else "learning the markers"
+        file = self._state.studio.recordings[self._at].file
+        self._status.text = f"{shown(file)}: {what}, {time.monotonic() - self._began_s:.0f} s"
+
+    def _set_busy(self, *, is_busy: bool) -> None:
+        self._look.active = is_busy
+        self._bar.visible = self._cancel.visible = is_busy
+        self._button.set_enabled(not is_busy)
 
     async def _track(self) -> None:
-        self._button.disable()
-        at, self._began_s = self._state.number, time.monotonic()
-        self._look.activate()
+        at = self._at = self._state.number
+        self._began_s = time.monotonic()
+        self._set_busy(is_busy=True)
         self._result.refresh()
         first = max(int(self._first.value or 0), 0)
         trial = await in_thread(self._state.studio.track_some, at, self._length.value, first)
-        self._look.deactivate()
-        self._button.enable()
+        self._set_busy(is_busy=False)
         if at != self._state.number:
             return
         if isinstance(trial, FailedTracking):
@@ -226,7 +261,7 @@ class TrialView:
     def _result(self) -> None:
         last = self._state.studio.trial(self._state.number)
         # Of other markers, perhaps, while it is tracked again.
-        if last is None or self._look.active:
+        if last is None or (self._look.active and self._at == self._state.number):
             return
         trial, expected = last
         summary = summarised(trial)
@@ -243,12 +278,12 @@ class TrialView:
             )
             image.classes("frame-image")
         for sentence in summary.advice:
-            ui.label(sentence).classes("advice")
+            remark(Rank.DOUBTFUL, sentence)
         table(_COLUMNS, [row.as_text() for row in summary.rows])
         _windows(trial.windows)
         _expected(expected)
         for sentence in trial.tracks.notes:
-            ui.label(shown(sentence))
+            remark(Rank.NOTE, sentence)
 
 
 def _windows(windows: tuple[FollowedWindow, ...]) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from asyncio import CancelledError
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, TypeVar
 
-from nicegui import run, ui
+from nicegui import core, run, ui
 
+from modalcam.apps.studio.next_step import done_views, next_step
+from modalcam.apps.studio.remarks import Rank
 from modalcam.apps.studio.session import Studio
 from modalcam.common import ModalcamError, for_terminal, shown
 from modalcam.config import RecordingConfig
@@ -86,14 +89,28 @@ class PageState:
         return True
 
 
+# Reading takes a second for about 15 letters, and some for looking up.
+_LOOK_UP_MS, _LETTER_MS = 6000, 70
+
+
 def complain(text: str) -> None:
-    """Show a message that stays until it is closed."""
-    ui.notify(shown(text), type="negative", multi_line=True, close_button="Close", timeout=0)
+    """Show a message below the bar of the page, until it has been read or is closed."""
+    timeout = _LOOK_UP_MS + _LETTER_MS * len(text)
+    ui.notify(
+        shown(text),
+        type="negative",
+        multi_line=True,
+        close_button="Close",
+        timeout=timeout,
+        position="top-right",
+    )
 
 
 async def in_thread(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Result of a call that blocks."""
+    """Result of a call that blocks; cancelled where the server ends, for which NiceGUI gives None."""
     result: Result = await run.io_bound(function, *arguments)
+    if core.app.is_stopping:
+        raise CancelledError
     return result
 
 
@@ -115,6 +132,11 @@ def button(text: str, action: Callable[..., Any], name: str = "") -> Any:
 def number(label: str, width: str = "number", **options: Any) -> Any:
     """A field for a number, as wide as the class `width` of the style sheet."""
     return ui.number(label, **options).props("outlined dense").classes(width)
+
+
+def remark(rank: Rank, text: str) -> None:
+    """A sentence with its rank, which is not told by its colour alone."""
+    ui.label(f"{rank.word}: {shown(text)}").classes(f"remark {rank.word.lower()}")
 
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
@@ -141,6 +163,28 @@ def table_head(columns: Iterable[str]) -> None:
 def scrolled() -> Any:
     """Box around a table that may be wider than the page; the keyboard scrolls it, too."""
     return ui.element("div").classes("scrolled").props('tabindex="0" role="group" aria-label="Table"')
+
+
+class WhereBar:
+    """The recording that all views show, and what to do next; `ticked` is told the names of the views that are done."""
+
+    def __init__(self, state: PageState, ticked: Callable[[frozenset[str]], None]) -> None:
+        self._state, self._ticked = state, ticked
+        names = dict(enumerate(shown(found.file) for found in state.studio.recordings))
+        with ui.row().classes("where"):
+            select = ui.select(
+                names, label="Recording", value=state.number, on_change=lambda e: state.choose(e.value)
+            )
+            select.props("outlined dense options-dense").classes("recording")
+            self._step = ui.label("").props('role="status"').classes("next-step")
+        state.when_recording_changes(lambda: select.set_value(state.number))
+        self.look()
+
+    def look(self) -> None:
+        """Show how far the work is now."""
+        stand = self._state.studio.stand()
+        self._step.text = shown(next_step(stand))
+        self._ticked(done_views(stand))
 
 
 class SaveDialog:

@@ -9,7 +9,7 @@
     if (!img || !img.naturalWidth || !canvas) return;
     // A tall picture is fitted by its height.
     const most = 0.7 * window.innerHeight * (img.naturalWidth / img.naturalHeight);
-    canvas.style.width = "min(100%, " + most + "px)";
+    canvas.style.width = "min(100cqi - 2px, " + most + "px)";
     measure(box);
   }
   // Another size of the picture is that of another recording.

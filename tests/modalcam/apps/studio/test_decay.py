@@ -59,6 +59,12 @@ def test_the_view_shows_the_modes_and_parts_of_the_run():
     assert decay.span_s == (found.series.time_s[0], found.series.time_s[-1])
     other = found.series.channels[0]
     assert shown_decay(found.series, found, other).channel == other
+    used = found.series.time_s[found.used[:, found.series.channels.index(decay.channel)]]
+    assert decay.fitted_s == (used[0], used[-1])
+    curve, fit, residual = (np.array(c) for c in (decay.curve, decay.fit, decay.residual))
+    inside = np.isfinite(fit[:, 1])
+    assert np.array_equal(curve[inside, 0], used)
+    assert np.allclose(curve[inside, 1], (fit + residual)[inside, 1])
 
 
 def test_without_a_run_the_reason_is_given(tmp_path):

@@ -220,3 +220,21 @@ file = "b.avi"
     draft.set_for("b.avi", {"fps": 200})
     added = text.replace("mode = 1\n", "mode = 1\nfps = 100\nexposure_s = 0.1\n")
     assert draft.text == added.replace('"b.avi"\n', '"b.avi"\nfps = 200\n')
+
+
+BEAM = {"length_mm": 500.0, "width_mm": 5.0, "thickness_mm": 0.5}
+
+
+def test_a_beam_is_set_at_once_and_removed_with_what_is_in_it(tmp_path):
+    draft = new_draft(tmp_path, COMMENTED + "\n[[beam.point_masses]]\nposition_mm = 9.0\nmass_g = 1.0\n")
+    draft.set_section("beam", BEAM | {"orientation": "angled", "angle_deg": 0.0})
+    assert draft.config.beam.angle_deg == 0.0
+    with pytest.raises(ConfigError, match="if thickness_mm is in metres"):
+        draft.set_section("beam", {"thickness_mm": 0.0005})
+    draft.set_section("beam", {"orientation": "standing", "angle_deg": None})
+    assert [mass.mass_g for mass in draft.config.beam.point_masses] == [1.0]
+    draft.undo()
+    draft.undo()
+    draft.set_section("beam", None)
+    assert draft.config.beam is None
+    assert draft.text.rstrip() == COMMENTED.rstrip()

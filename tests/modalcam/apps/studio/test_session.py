@@ -9,7 +9,7 @@ from kit import films as media
 from kit.films import write_decay
 from support.paths import ROOT
 
-from modalcam.apps.studio import Pools, Studio, options_error, overlay
+from modalcam.apps.studio import Pools, Stand, Studio, options_error, overlay
 from modalcam.common import ConfigError, InputError, ModalcamError, NoInputError
 from modalcam.config import load_config
 from tracker import FailedTracking, Failure
@@ -50,7 +50,24 @@ def test_frames_are_counted_and_shown(folder):
     assert np.corrcoef(shown.ravel(), media.images(12)[11].ravel())[0, 1] > 0.95
     small = cv2.imdecode(np.frombuffer(studio.frame(0, 0, 40), np.uint8), cv2.IMREAD_UNCHANGED)
     assert small.shape == (30, 40)
+    assert studio.stand() == Stand(is_read=False)
     assert studio.probes()[0].packets == 12
+    assert studio.stand().without_rate == ("a.avi",)
+    studio.draft.set_for("a.avi", {"fps": 100, "kind": "patch", "points_px": [[80, 60]]})
+    assert studio.stand() == Stand(markers_seen=True)
+
+
+def test_a_tall_film_is_turned_in_the_list(tmp_path):
+    """A column of the film from its top is a row of the picture from its left."""
+    import cv2
+
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    tall = media.images(12, width=40, height=160)
+    media.write(folder / "a.avi", tall)
+    small = cv2.imdecode(np.frombuffer(new_studio(folder).frame(0, 0, 160), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert small.shape == (40, 160)
+    assert np.corrcoef(small.ravel(), np.rot90(tall[0]).ravel())[0, 1] > 0.95
 
 
 @pytest.mark.parametrize(("number", "index"), [(-1, 0), (1, 0), (10**9, 0), (0, 12), (0, -1), (0, 10**12)])
@@ -189,11 +206,11 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     studio.draft.set_for("take.mkv", {"add_hz": [31.0]})
     added = studio.decay_of_trial(0)
     assert len(added.modes) == 1
-    assert any("does not determine a mode at 31 Hz" in note for note in added.notes)
+    assert any("does not determine a mode at 31 Hz" in note for note in added.doubts)
     studio.draft.undo()
     studio.draft.set_for("take.mkv", {"onset_s": 1.39})
     refused = studio.decay_of_trial(0)
-    assert "samples lie within onset_s" in refused.notes[0]
+    assert "samples lie within onset_s" in refused.doubts[0]
     assert len(refused.curve) == 140
     studio.draft.undo()
     studio.draft.set_for("take.mkv", {"kind": "aruco"})
@@ -217,7 +234,7 @@ def test_a_test_track_begins_at_any_frame_and_calls_no_driven_part_a_decay(tmp_p
     assert np.array_equal(driven.x_px, whole.x_px[:128])
     found = studio.decay_of_trial(0)
     assert [np.isnan(m.damping_ratio) and "DRIVEN" in m.flags for m in found.modes] == [True]
-    assert any(f"hardly decays in frames 0 to 127 of {frames}" in note for note in found.notes)
+    assert any(f"hardly decays in frames 0 to 127 of {frames}" in note for note in found.doubts)
     later = studio.track_some(0, 200, 200)
     assert np.array_equal(later.tracks.x_px, whole.x_px[200:])
     assert later.tracks.time_s[0] == whole.time_s[200]
@@ -238,6 +255,37 @@ def test_the_bare_beam_of_the_sample_is_proposed(tmp_path):
     given = load_config(SAMPLE_BARE / "experiment.toml").markers.line_px
     assert np.all(np.hypot(*(np.array(found.line) - given).T) < 4.0)
     assert found.no_line == ""
+
+
+def test_what_is_followed_already_is_not_proposed(folder):
+    """The only thing that moves is the dot; a run that seeks codes does not follow it."""
+    media.write(folder / "a.avi", media.images(40))
+    studio = new_studio(folder)
+    assert studio.propose(0).points == ()
+    studio.draft.set_for("a.avi", {"kind": "aruco"})
+    (point,) = studio.propose(0).points
+    assert point == pytest.approx((80, 60), abs=8)
+    studio.draft.set_for("a.avi", {"kind": "patch", "points_px": [point]})
+    assert studio.propose(0).points == ()
+
+
+def test_a_test_track_tells_how_far_it_is_and_can_be_cancelled(tmp_path):
+    folder, seen = tmp_path / "videos", []
+    folder.mkdir()
+    write_decay(folder)
+
+    class Watched(InThisProcess):
+        def map(self, function, tasks):
+            if seen:
+                studio.cancel_trial()
+            results = super().map(function, tasks)
+            seen.append(studio.frames_tracked())
+            return results
+
+    studio = Studio(folder, None, Pools(InThisProcess(), Watched()))
+    assert studio.track_some(0, 70)
+    assert seen == [(64, 70)], "counted every eight frames"
+    assert "was cancelled" in studio.track_some(0, 70).reason
 
 
 def test_windows_are_drawn_as_a_run_chooses_them(tmp_path):

@@ -9,11 +9,20 @@ import pytest
 from kit.films import write_decay, write_faint_mode
 from support.browser import NEEDS_CHROMIUM
 from support.paths import ROOT
-from support.studio import RUN_MS, answer, click_frame, opened, running_studio, show, targets
+from support.studio import RUN_MS, answer, click_frame, opened, running_studio, save_and_run, show, targets
 
 from modalcam.config import load_config
 
 pytestmark = [NEEDS_CHROMIUM, pytest.mark.timeout(600)]
+
+
+BEAM = {
+    "Length / mm": "500",
+    "Width / mm": "5",
+    "Thickness / mm": "0.5",
+    "Density / (kg/m³)": "8000",
+    "Elastic modulus / MPa": "210000",
+}
 
 
 def test_markers_set_by_clicks_are_saved(tmp_path):
@@ -32,10 +41,27 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
             rate.fill("200")
             page.keyboard.press("Tab")
             page.get_by_text("unsaved changes").wait_for()
+            page.get_by_label("Tolerance of the clock / ppm").fill("20")
+            page.get_by_label("Number of the mode of").fill("1")
+            page.keyboard.press("Tab")
+            show(page, "Beam")
+            page.get_by_role("button", name="Remove the beam").click()
+            page.get_by_text("Without a beam nothing is simulated.").wait_for()
+            for name, value in BEAM.items():
+                page.get_by_label(name).fill(value)
+                page.keyboard.press("Tab")
+            page.get_by_text("The beam is complete.").wait_for()
+            page.get_by_label("Orientation").click()
+            page.get_by_role("option", name="angled").click()
+            page.get_by_label("Angle / °").fill("0")
+            page.keyboard.press("Tab")
+            page.get_by_text("Next: look at the markers").wait_for()
+            show(page, "Recordings")
             page.get_by_role("button", name="Set markers of").click()
             page.get_by_text("of 140 (0 to 139)").wait_for()
             click_frame(page, 20, 12)
             page.get_by_role("button", name="Delete m1").wait_for()
+            page.get_by_text("Next: run").wait_for()
             click_frame(page, 40, 20)
             page.get_by_role("button", name="Delete m2").wait_for()
             page.get_by_role("button", name="Undo").click()
@@ -55,7 +81,8 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
     (entry,) = saved["recordings"]
     assert np.allclose(entry["points_px"], [[20, 12]], atol=0.2), "a click is placed to a tenth of a pixel"
     assert (entry["excitation"], entry["input"]) == ("ambient", ["m1"])
-    assert saved["camera"]["fps"] == 200
+    assert (saved["camera"]["fps"], saved["camera"]["fps_tolerance_ppm"], entry["mode"]) == (200, 20, 1)
+    assert [*saved["beam"].values()] == [*map(float, BEAM.values()), "angled", 0]
     assert not (out / "state" / "draft.json").exists()
     assert sorted(p.name for p in folder.iterdir()) == [
         '<img src=x onerror="alert(1)">.mkv',
@@ -236,9 +263,9 @@ def test_a_proposed_line_is_accepted_and_dots_are_named_by_keyboard(tmp_path):
 
 
 FAINT_HZ, FAINT_PX = 33.0, 0.014
-# Position in the page of a frequency on the spectrum, the second chart.
+# Position in the page of a frequency on the spectrum, the last chart.
 PLACE_ON_SPECTRUM = """(hz) => {
-    const box = document.querySelectorAll('.chart')[1], chart = getElement(Number(box.id.slice(1))).chart;
+    const box = [...document.querySelectorAll('.chart')].at(-1), chart = getElement(Number(box.id.slice(1))).chart;
     const middle = chart.getHeight() / 2, at = box.getBoundingClientRect();
     return [at.x + chart.convertToPixel({xAxisIndex: 0}, hz), at.y + middle];
 }"""
@@ -263,7 +290,7 @@ def test_a_mode_below_the_threshold_is_added_by_a_click_on_the_spectrum(tmp_path
         rows = page.locator("tr").filter(has=page.get_by_role("button", name="Reject"))
         rows.first.wait_for()
         assert rows.count() == 1
-        page.locator(".chart").nth(1).scroll_into_view_if_needed()
+        page.locator(".chart").last.scroll_into_view_if_needed()
         page.mouse.click(*page.evaluate(PLACE_ON_SPECTRUM, FAINT_HZ))
         wanted = page.get_by_label("Frequency of another mode / Hz")
         page.wait_for_function("(e) => e.value !== ''", arg=wanted.element_handle())
@@ -283,3 +310,26 @@ def test_a_mode_below_the_threshold_is_added_by_a_click_on_the_spectrum(tmp_path
         page.get_by_text("saved", exact=True).wait_for()
     (hz,) = load_config(folder / "experiment.toml").for_recording("take.mkv").add_hz
     assert hz == pytest.approx(FAINT_HZ, abs=0.5)
+
+
+@pytest.mark.slow  # the model of each view is tested in this folder
+def test_every_view_is_shown_without_an_error_before_and_after_a_run(tmp_path):
+    """Charts of one recording after the other, faster than they are drawn: `opened` fails for what the console says."""
+    folder, out = tmp_path / "videos", tmp_path / "out"
+    folder.mkdir()
+    write_decay(folder)
+    write_decay(folder, name="other", seed=3)
+    views = ("Recordings", "Markers", "Beam", "Test track", "Run and report", "Decay")
+    with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _), opened(address) as page:
+        for is_run in (False, True):
+            for view in views:
+                show(page, view)
+            if not is_run:
+                save_and_run(page)
+                page.get_by_role("cell", name="10.2").first.wait_for()
+        for file in ("take.mkv", "other.mkv", "take.mkv"):
+            page.get_by_label("Recording").click()
+            page.get_by_role("option", name=file).click()
+            page.get_by_role("button", name="Show the last run").click()
+        page.get_by_role("button", name="Reject").first.wait_for()
+        page.get_by_text("The report is that of these settings.").wait_for()

@@ -1,0 +1,71 @@
+"""What to do next in the studio, and which of its views are done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Files named in a sentence.
+_MOST_NAMES = 3
+
+
+@dataclass(frozen=True)
+class Stand:
+    """How far the work on a folder is.
+
+    `without_rate` are the recordings of the run whose recorded rate is not known, `problem` is what contradicts in the
+    options of one of them. A report is one of the configuration as it is; `failures` are its recordings without result.
+    """
+
+    is_read: bool = True
+    recordings: int = 1
+    without_rate: tuple[str, ...] = ()
+    problem: str = ""
+    has_beam: bool = False
+    markers_seen: bool = False
+    is_tracked: bool = False
+    is_running: bool = False
+    is_reported: bool = False
+    failures: int = 0
+    decay_seen: bool = False
+
+
+def next_step(stand: Stand) -> str:
+    """One sentence that says what to do next."""
+    more = len(stand.without_rate) - _MOST_NAMES
+    names = ", ".join(stand.without_rate[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    steps = (
+        (stand.is_running, "wait for the run; Run and report shows how far it is."),
+        (not stand.is_read, "wait until the recordings are read."),
+        (not stand.recordings, "include a recording in the run, under Recordings."),
+        (bool(names), f"give the recorded rate of {names}, under Recordings: every frequency depends on it."),
+        (bool(stand.problem), f"correct the options, under Markers: {stand.problem}."),
+        (
+            not (stand.markers_seen or stand.is_tracked or stand.is_reported),
+            "look at the markers: press Detect markers, or set patches or a line, under Markers.",
+        ),
+        (
+            not stand.is_reported,
+            "run, under Run and report; a test track shows before whether the markers are followed.",
+        ),
+        (
+            stand.failures > 0,
+            f"read why {stand.failures} of the recordings gave no result, under Run and report.",
+        ),
+        (not stand.decay_seen, "read the report, and look at the fit of each recording, under Decay."),
+    )
+    return next(
+        (f"Next: {text}" for applies, text in steps if applies), "The report is that of these settings."
+    )
+
+
+def done_views(stand: Stand) -> frozenset[str]:
+    """Names of the views in which nothing is left to do."""
+    done = {
+        "Recordings": stand.is_read and stand.recordings > 0 and not stand.without_rate,
+        "Markers": (stand.markers_seen or stand.is_tracked or stand.is_reported) and not stand.problem,
+        "Beam": stand.has_beam,
+        "Test track": stand.is_tracked,
+        "Run and report": stand.is_reported and not stand.failures,
+        "Decay": stand.is_reported and stand.decay_seen,
+    }
+    return frozenset(name for name, is_done in done.items() if is_done)
