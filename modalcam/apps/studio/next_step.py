@@ -49,7 +49,7 @@ def next_step(stand: Stand) -> str:
         ),
         (
             stand.failures > 0,
-            f"read why {stand.failures} of the recordings gave no result, under Run and report.",
+            f"read why {stand.failures} of the recordings gave no result, under Run and report; or leave them out.",
         ),
         (not stand.decay_seen, "read the report, and look at the fit of each recording, under Decay."),
     )

@@ -303,9 +303,10 @@ class Studio:
         """Modes and failures of the last run, where `report` gives one."""
         from modalcam.apps.studio.results import RunResults, run_results  # noqa: PLC0415 - heavy
 
-        if self.workspace is None or self.report() is None:
-            return Failure("there is no report yet")
-        found = run_results(self.workspace.summary)
+        summary = None if self.workspace is None else self.workspace.summary
+        if summary is None or not summary.is_file() or summary.is_symlink():
+            return Failure("there are no results yet")
+        found = run_results(summary)
         self.failures = len(found.failures) if isinstance(found, RunResults) else 0
         return found
 

@@ -34,6 +34,7 @@ def test_two_browsers_edit_one_draft_and_one_of_them_runs(folder, tmp_path):
         first.get_by_label(RATE).fill("200")
         first.keyboard.press("Tab")
         second.wait_for_function(f"() => document.querySelector('[aria-label=\"{RATE}\"]')?.value === '200'")
+        first.get_by_text("unsaved changes").wait_for()
         second.get_by_role("button", name="Undo").click()
         first.get_by_text("saved", exact=True).wait_for()
         assert first.get_by_label(RATE).input_value() == "100"
