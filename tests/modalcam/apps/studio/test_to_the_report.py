@@ -120,6 +120,8 @@ def test_the_samples_keep_every_other_byte_of_their_configuration(tmp_path):
     comments = "# films of the sample beam\n\n" + text.replace("mode = 4", "mode = 4   # struck at the tip")
     (folder / "experiment.toml").write_text(comments)
     with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _), opened(address) as page:
+        # The pace needs the numbers of frames.
+        page.get_by_text("64 x 544").wait_for()
         page.get_by_role("button", name="Set markers of mode4.avi").click()
         size = page.get_by_label("Size of a marker / mm")
         assert size.input_value() == "12"
