@@ -11,8 +11,8 @@ from .decay import identified_trial as identified_trial
 from .decay import shown_decay as shown_decay
 from .decay import thinned as thinned
 from .draft import Draft as Draft
-from .draft import with_option as with_option
 from .draft import with_options_of as with_options_of
+from .draft import with_section as with_section
 from .frames import in_image as in_image
 from .frames import marked as marked
 from .frames import markers_text as markers_text

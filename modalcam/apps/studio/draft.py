@@ -30,11 +30,6 @@ from modalcam.pipeline import write_json, write_text
 Value = str | int | float | list[Any]
 
 
-def with_option(text: str, section: str, key: str, value: Value | None) -> str:
-    """The text with an option of ``[section]`` set, or removed where `value` is None."""
-    return with_section(text, section, {key: value})
-
-
 def with_section(text: str, section: str, values: Mapping[str, Value | None] | None) -> str:
     """The text with options of ``[section]`` set, or removed where they are None; without it where `values` is None."""
     document = _document(text)
@@ -185,16 +180,12 @@ class Draft:
         """Whether there is an edit to undo."""
         return len(self._texts) > 1
 
-    def set_for_all(self, section: str, key: str, value: Value | None) -> None:
-        """Set an option of a section, or remove it; ConfigError where the result is not a valid configuration."""
-        self.set_section(section, {key: value})
-
     def set_section(self, section: str, values: Mapping[str, Value | None] | None) -> None:
-        """Set options of a section together, or remove it with what is in it; ConfigError as in `set_for_all`."""
+        """Set options of a section, remove those that are None, or it with all in it; ConfigError if not valid then."""
         self._edit(lambda text: with_section(text, section, values))
 
     def set_for(self, file: str, values: Mapping[str, Value | None]) -> None:
-        """Set options of one recording, or remove those that are None; ConfigError as in `set_for_all`.
+        """Set options of one recording, or remove those that are None; ConfigError as in `set_section`.
 
         An option that `[camera]` or `[markers]` gives is set there if no other recording is listed.
         """
@@ -208,7 +199,7 @@ class Draft:
                 if not others and key not in own and self._is_given(section_of(key), key)
             }
             for key, value in inherited.items():
-                text = with_option(text, section_of(key), key, value)
+                text = with_section(text, section_of(key), {key: value})
             return with_options_of(
                 text, file, {k: value for k, value in values.items() if k not in inherited}
             )

@@ -33,29 +33,20 @@ def next_step(stand: Stand) -> str:
     """One sentence that says what to do next."""
     more = len(stand.without_rate) - _MOST_NAMES
     names = ", ".join(stand.without_rate[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    are_seen = stand.markers_seen or stand.is_tracked or stand.is_reported
     steps = (
         (stand.is_running, "wait for the run; Run and report shows how far it is."),
         (not stand.is_read, "wait until the recordings are read."),
         (not stand.recordings, "include a recording in the run, under Recordings."),
         (bool(names), f"give the recorded rate of {names}, under Recordings: every frequency depends on it."),
         (bool(stand.problem), f"correct the options, under Markers: {stand.problem}."),
-        (
-            not (stand.markers_seen or stand.is_tracked or stand.is_reported),
-            "look at the markers: press Detect markers, or set patches or a line, under Markers.",
-        ),
-        (
-            not stand.is_reported,
-            "run, under Run and report; a test track shows before whether the markers are followed.",
-        ),
-        (
-            stand.failures > 0,
-            f"read why {stand.failures} of the recordings gave no result, under Run and report; or leave them out.",
-        ),
+        (not are_seen, "look at the markers: detect them, or set patches or a line, under Markers."),
+        (not stand.is_reported, "run, under Run and report; a test track shows before what is followed."),
+        (stand.failures > 0, f"read why {stand.failures} of the recordings failed, under Run and report."),
         (not stand.decay_seen, "read the report, and look at the fit of each recording, under Decay."),
     )
-    return next(
-        (f"Next: {text}" for applies, text in steps if applies), "The report is that of these settings."
-    )
+    said = (f"Next: {text}" for applies, text in steps if applies)
+    return next(said, "The report is that of these settings.")
 
 
 def done_views(stand: Stand) -> frozenset[str]:

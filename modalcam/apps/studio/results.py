@@ -28,7 +28,9 @@ def run_results(summary: Path) -> RunResults | Failure:
         cells = [(motion, row) for recording in recordings for motion, row in mode_cells(recording, config)]
         rows = tuple((*row, ", ".join(motion["flags"])) for motion, row in cells)
         reasons = ((one["file"], one["failure"] or _no_target(one["failed_modes"])) for one in recordings)
-        return RunResults(rows, tuple((file, reason) for file, reason in reasons if reason))
+        # The message of a reader starts with the file's name.
+        failures = tuple((file, reason.removeprefix(f"{file}: ")) for file, reason in reasons if reason)
+        return RunResults(rows, failures)
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         return Failure(f"summary.json of the run cannot be read: {error!r}")
 

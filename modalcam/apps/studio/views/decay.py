@@ -321,7 +321,7 @@ class DecayView:
         self._show()
 
     async def _choose(self, channel: str) -> None:
-        if channel != self._channel:
+        if self._decay is not None and channel != self._decay.channel:
             self._channel = channel
             await self._load(self._source)
 

@@ -93,7 +93,7 @@ class RecordingsView:
 
     def _set_for_all(self, key: str, value: Value | None) -> None:
         draft = self._state.studio.draft
-        self._state.attempt(lambda: draft.set_for_all("camera", key, value))
+        self._state.attempt(lambda: draft.set_section("camera", {key: value}))
 
     @ui.refreshable_method
     def _list(self) -> None:

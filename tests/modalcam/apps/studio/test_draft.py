@@ -6,7 +6,7 @@ import tomllib
 import pytest
 from support.paths import SAMPLES
 
-from modalcam.apps.studio import Draft, with_option, with_options_of
+from modalcam.apps.studio import Draft, with_options_of, with_section
 from modalcam.common import ConfigError, OutputError
 from modalcam.config import load_config
 
@@ -42,7 +42,7 @@ def changed_lines(before, after):
 
 
 def test_a_changed_value_keeps_every_other_byte():
-    assert changed_lines(COMMENTED, with_option(COMMENTED, "camera", "fps", 500)) == (
+    assert changed_lines(COMMENTED, with_section(COMMENTED, "camera", {"fps": 500})) == (
         ["fps = 1000.0      # measured by the strobe\n"],
         ["fps = 500      # measured by the strobe\n"],
     )
@@ -77,7 +77,7 @@ def test_an_entry_is_added_for_any_name(file):
     ],
 )
 def test_every_form_of_toml_can_be_edited(text):
-    edited = with_options_of(with_option(text, "camera", "fps", 7), "z.avi", {"mode": 1})
+    edited = with_options_of(with_section(text, "camera", {"fps": 7}), "z.avi", {"mode": 1})
     before, after = tomllib.loads(text), tomllib.loads(edited)
     assert after["camera"] == before.get("camera", {}) | {"fps": 7}
     assert after["recordings"] == [*before.get("recordings", ()), {"file": "z.avi", "mode": 1}]
@@ -106,7 +106,7 @@ def test_an_option_is_changed_where_it_is_given(tmp_path):
 def test_what_is_not_valid_is_refused_and_changes_nothing(tmp_path):
     draft = new_draft(tmp_path, COMMENTED)
     with pytest.raises(ConfigError, match="fps: expected frames per second"):
-        draft.set_for_all("camera", "fps", "fast")
+        draft.set_section("camera", {"fps": "fast"})
     with pytest.raises(ConfigError, match="unknown key"):
         draft.set_for("a.avi", {"colour": "red"})
     assert draft.text == COMMENTED
@@ -116,7 +116,7 @@ def test_what_is_not_valid_is_refused_and_changes_nothing(tmp_path):
 def test_undo_goes_back_step_by_step(tmp_path):
     draft = new_draft(tmp_path, COMMENTED)
     for rate in (1, 2, 3):
-        draft.set_for_all("camera", "fps", rate)
+        draft.set_section("camera", {"fps": rate})
     draft.undo()
     assert draft.config.camera.fps == 2
     draft.undo()
@@ -129,7 +129,7 @@ def test_undo_goes_back_step_by_step(tmp_path):
 def test_the_difference_names_the_changed_lines(tmp_path):
     draft = new_draft(tmp_path, COMMENTED)
     assert draft.difference() == ""
-    draft.set_for_all("camera", "fps", 500)
+    draft.set_section("camera", {"fps": 500})
     changed = [
         line
         for line in draft.difference().splitlines()
@@ -146,7 +146,7 @@ def test_saving_replaces_the_file_and_keeps_its_form(tmp_path, head):
     path = tmp_path / "experiment.toml"
     path.write_bytes(head + COMMENTED.replace("\n", "\r\n").encode())
     draft = Draft(path, tmp_path / "draft.json")
-    draft.set_for_all("camera", "fps", 500)
+    draft.set_section("camera", {"fps": 500})
     assert (tmp_path / "draft.json").exists()
     draft.save()
     expected = COMMENTED.replace("fps = 1000.0 ", "fps = 500 ").replace("\n", "\r\n").encode()
@@ -157,7 +157,7 @@ def test_saving_replaces_the_file_and_keeps_its_form(tmp_path, head):
 
 
 def test_a_draft_outlives_its_session(tmp_path):
-    new_draft(tmp_path, COMMENTED).set_for_all("camera", "fps", 500)
+    new_draft(tmp_path, COMMENTED).set_section("camera", {"fps": 500})
     again = new_draft(tmp_path)
     assert again.config.camera.fps == 500
     assert "restored" in again.notes[0]
@@ -168,7 +168,7 @@ def test_a_draft_outlives_its_session(tmp_path):
 
 @pytest.mark.parametrize("damage", ["changed file", "no json", "other json", "invalid"])
 def test_a_draft_that_does_not_fit_is_kept_aside(tmp_path, damage):
-    new_draft(tmp_path, COMMENTED).set_for_all("camera", "fps", 500)
+    new_draft(tmp_path, COMMENTED).set_section("camera", {"fps": 500})
     store, path = tmp_path / "out" / "draft.json", tmp_path / "videos" / "experiment.toml"
     if damage == "changed file":
         path.write_text(COMMENTED + "# more\n")
@@ -185,7 +185,7 @@ def test_a_draft_that_does_not_fit_is_kept_aside(tmp_path, damage):
 
 def test_a_file_that_another_program_changed_is_not_overwritten(tmp_path):
     draft = new_draft(tmp_path, COMMENTED)
-    draft.set_for_all("camera", "fps", 500)
+    draft.set_section("camera", {"fps": 500})
     draft.path.write_text(COMMENTED + "# by hand\n")
     with pytest.raises(OutputError, match="changed by another program"):
         draft.save()

@@ -19,7 +19,7 @@ STEPS = (
     (Stand(markers_seen=True), "run, under"),
     (Stand(is_tracked=True), "run, under"),
     (Stand(is_running=True, without_rate=("a",)), "wait for the run"),
-    (Stand(is_reported=True, failures=2), "read why 2 of the recordings"),
+    (Stand(is_reported=True, failures=2), "read why 2 of the recordings failed"),
     (Stand(is_reported=True), "read the report"),
 )
 
