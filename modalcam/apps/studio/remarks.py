@@ -19,20 +19,17 @@ class Rank(IntEnum):
         return self.name.capitalize()
 
 
-# How the messages of a run begin, and whether this is said by the rank.
+# How the messages of a run begin, which their rank says, too.
 _BEGINNINGS = {
-    "FAILED ": (Rank.BLOCKING, True),
-    "NOT IDENTIFIED ": (Rank.BLOCKING, False),
-    "WARNING ": (Rank.DOUBTFUL, True),
-    "note: ": (Rank.NOTE, True),
+    "FAILED ": Rank.BLOCKING,
+    "NOT IDENTIFIED ": Rank.BLOCKING,
+    "WARNING ": Rank.DOUBTFUL,
+    "note: ": Rank.NOTE,
 }
 
 
 def ranked(messages: Iterable[str]) -> list[tuple[Rank, str]]:
     """Messages of a run with their ranks, the worst first, and otherwise as they came."""
-    found = []
-    for text in messages:
-        start = next((start for start in _BEGINNINGS if text.startswith(start)), "")
-        rank, is_said = _BEGINNINGS.get(start, (Rank.NOTE, False))
-        found.append((rank, text.removeprefix(start) if is_said else text))
+    starts = ((next((s for s in _BEGINNINGS if text.startswith(s)), ""), text) for text in messages)
+    found = [(_BEGINNINGS.get(start, Rank.NOTE), text.removeprefix(start)) for start, text in starts]
     return sorted(found, key=lambda one: one[0])
