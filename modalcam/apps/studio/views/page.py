@@ -14,6 +14,7 @@ from modalcam.apps.studio.views.frame import FrameView
 from modalcam.apps.studio.views.recordings import RecordingsView
 from modalcam.apps.studio.views.run import RunView, TrialView
 from modalcam.apps.studio.views.shared import PageState, SaveBar, SaveDialog, WhereBar
+from modalcam.common import shown
 
 _ASSETS = Path(__file__).parent
 _TICK_S = 0.5
@@ -75,7 +76,7 @@ def build_pick_page(studio: Studio) -> None:
     dialog = SaveDialog(state)
     with ui.header().classes("bar"):
         with ui.element("h1"):
-            ui.label("modalcam pick")
+            ui.label(f"modalcam pick: {shown(state.file)}")
         ui.space()
         SaveBar(state, dialog)
         if studio.draft.can_be_saved:
