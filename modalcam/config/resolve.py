@@ -101,7 +101,7 @@ def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
     """The beam as configured, or a sentence about what a simulation lacks; ConfigError for contradictions."""
     if beam is None:
-        return "There is no [beam] in the configuration, so nothing was simulated, and no number of a mode was found or checked."
+        return "There is no [beam] in the configuration, so nothing was simulated, and mode numbers were not checked."
     missing = beam.missing()
     if missing:
         keys = ", ".join(f"beam.{key}" for key in missing)
