@@ -398,8 +398,9 @@ def mode_cells(recording: dict[str, Any], config: str) -> Iterator[tuple[dict[st
         sd = 100 * _number(mode[DAMPING[1].name])
         low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
         number = "" if mode["mode"] is None else str(mode["mode"])
+        frequency = _frequency(recording, mode, clock_is_known=known)
         damping = _with_sd(mode, DAMPING, 100.0), interval(low, high, sd)
-        yield mode, (recording["recording"], number, _frequency(recording, mode, clock_is_known=known), *damping)
+        yield mode, (recording["recording"], number, frequency, *damping)
     for line in recording["driven"]:
         yield line, (recording["recording"], "", _frequency(recording, line), "driven", "")
 
