@@ -23,6 +23,8 @@ class Tuning:
     after_jump: float = 0.1
     #: [1] half width at half maximum of the change of the logarithm of a drive's amplitude
     drive_change: float = 0.005
+    #: [1] the same of a steady drive, such as a generator's; both are equally likely
+    steady_change: float = 0.0005
     #: [1] sd of the change of the log amplitude above which it tells nothing of a drive
     known: float = 0.1
     #: [1] smallest damping ratio of a structure
@@ -109,7 +111,8 @@ def drive_probability(
     """
     if not (np.all(np.isfinite([change, sd, radians])) and sd > 0.0 and radians > 0.0):
         return 0.5
-    driven = float(voigt_profile(change, sd, TUNING.drive_change))
+    widths = np.array([TUNING.drive_change, TUNING.steady_change])
+    driven = float(np.mean(voigt_profile(change, sd, widths)))
     zeta = np.geomspace(TUNING.least_damping, TUNING.most_damping, 400)
     edges, log_range = zeta * radians, float(np.log(TUNING.most_damping / TUNING.least_damping))
     # exact for a density that is constant in each cell, however narrow the normal density is

@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import cauchy, norm
 
-from modal_id.segments import drive_probability, is_driven, may_be_driven
+from modal_id.segments import drive_probability, is_driven, is_probably_driven, may_be_driven
 
 # Widths and limits that the description of the function states.
-DRIVE_CHANGE, LEAST, MOST = 0.005, 1e-5, 0.5
+DRIVE_CHANGES, LEAST, MOST = np.array([0.0005, 0.005]), 1e-5, 0.5
 
 
 def by_quadrature(change, sd, radians, prior):
     """Both likelihoods as integrals over the true change and over ln zeta."""
     near = [change - 8 * sd, change, change + 8 * sd, 0.0]
     driven = quad(
-        lambda true: norm.pdf(change, true, sd) * cauchy.pdf(true, 0.0, DRIVE_CHANGE),
+        lambda true: norm.pdf(change, true, sd) * np.mean(cauchy.pdf(true, 0.0, DRIVE_CHANGES)),
         min(near),
         max(near),
         points=sorted(near)[1:-1],
@@ -46,7 +46,7 @@ def test_what_follows_a_change_is_evidence_too(change, follows):
     sd, radians = 0.01, 100.0
     log_zeta = np.linspace(np.log(LEAST), np.log(MOST), 200_001)
     driven = quad(
-        lambda true: norm.pdf(change, true, sd) * cauchy.pdf(true, 0.0, DRIVE_CHANGE),
+        lambda true: norm.pdf(change, true, sd) * np.mean(cauchy.pdf(true, 0.0, DRIVE_CHANGES)),
         min(change, 0.0) - 8 * sd,
         max(change, 0.0) + 8 * sd,
         points=[0.0, change],
@@ -63,8 +63,12 @@ def test_what_follows_a_change_is_evidence_too(change, follows):
 
 
 def test_a_steady_motion_before_a_light_decay_is_a_drive_and_before_a_hand_may_be_free():
-    """The decay's damping ratio, 0.3 %, would have shown before it; a hand's, 5 %, says nothing."""
-    assert drive_probability(0.001, 0.001, 22.0, follows=0.003) > 0.5 > drive_probability(0.001, 0.001, 22.0)
+    """The decay's damping ratio, 0.3 %, would have shown before it; a hand's, 5 %, says nothing.
+
+    Alone, the part is not called driven: that takes odds of two to one.
+    """
+    assert is_probably_driven(drive_probability(0.001, 0.001, 22.0, follows=0.003))
+    assert not is_probably_driven(drive_probability(0.001, 0.001, 22.0))
     assert may_be_driven(drive_probability(0.065, 0.02, 180.0, follows=0.05))
     assert drive_probability(0.065, 0.02, 180.0, follows=0.05) < 0.5
 
