@@ -451,7 +451,7 @@ def _frequency(recording: dict[str, Any], motion: dict[str, Any], *, clock_is_kn
     if _rate_is_guessed(recording):
         return "unknown"
     value, sd = (_number(motion[column.name]) for column in FREQUENCY)
-    return hertz(value, sd, float(clock_is_known))
+    return hertz(value, sd, clock_is_known=clock_is_known)
 
 
 def _with_sd(values: dict[str, Any], columns: tuple[Value, Value], factor: float) -> str:

@@ -347,7 +347,7 @@ def _hz(model: ModalFit) -> float:
 
 
 def _is_overtone(ratio: float) -> bool:
-    return abs(ratio / round(ratio) - 1.0) < OWN_BAND
+    return abs(ratio - round(ratio)) < OWN_BAND * round(ratio)  # round() is 0 where a fit ends far above
 
 
 def _split_close(model: ModalFit, max_modes: int) -> ModalFit:

@@ -233,27 +233,17 @@ REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "e
 class BeamConfig(Options):
     """Beam: geometry, material and mounting. Without this section nothing is simulated."""
 
-    length_mm: Length | None = Field(
-        default=None, description="Free length from the clamp to the tip.", examples=[500.0]
-    )
-    length_sd_mm: NonNegative | None = Field(
-        default=None, description="Its standard deviation, for the interval of the modulus.", examples=[0.5]
-    )
+    length_mm: Length | None = Field(default=None, description="Free length, clamp to tip.", examples=[500.0])
+    length_sd_mm: NonNegative | None = Field(default=None, description="Its sd.", examples=[0.5])
     width_mm: Length | None = Field(default=None, description="Width of the cross-section.", examples=[5.0])
     thickness_mm: Length | None = Field(
         default=None,
         description="Thickness of the cross-section, in the direction of bending.",
         examples=[0.5],
     )
-    thickness_sd_mm: NonNegative | None = Field(
-        default=None, description="Standard deviation of its mean along the beam.", examples=[0.005]
-    )
-    density_kg_m3: Positive | None = Field(
-        default=None, description="Mass density of the material.", examples=[8000.0]
-    )
-    density_sd_kg_m3: NonNegative | None = Field(
-        default=None, description="Its standard deviation.", examples=[40.0]
-    )
+    thickness_sd_mm: NonNegative | None = Field(default=None, description="Sd of its mean.", examples=[0.005])
+    density_kg_m3: Positive | None = Field(default=None, description="Mass density.", examples=[8000.0])
+    density_sd_kg_m3: NonNegative | None = Field(default=None, description="Its sd.", examples=[40.0])
     elastic_modulus_mpa: Positive | None = Field(
         default=None, description="Young's modulus.", examples=[210000.0]
     )

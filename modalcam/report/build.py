@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import jinja2
 
+from modal_id import IdentifiedMode
 from modalcam.pipeline import (
     Cache,
     Progress,
@@ -85,7 +86,8 @@ def build_report(
     across = [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1]
     main = [mode for view in views for mode in view["main"]]
     pictured = widest_and_narrowest(result)
-    checks = alerts(result, views, across)
+    numbers = {} if beam is None else updating_numbers(beam)
+    checks = alerts(result, views, across, numbers)
     explained = {alert.name for alert in checks if alert.meaning and not alert.remedy}
     zooms = detail.diagnostics if plots is None else plots == "interactive"
     script = trusted(_script()) if zooms else ""
@@ -100,9 +102,7 @@ def build_report(
         "main_modes": main,
         "amplitude_dependent": any("AMPLITUDE_DEPENDENT" in mode.flags for mode in main),
         "clock_exact": bool(main) and not any(mode.posterior.rate_sd_ppm for mode in main),
-        "beyond_clock": any(
-            "†" in hertz(m.frequency_hz, m.frequency_sd_hz, m.posterior.rate_sd_ppm) for m in main
-        ),
+        "beyond_clock": any("†" in _frequency(mode) for mode in main),
         "alerts": checks,
         "failed": [alert for alert in checks if alert.kind not in PASSED],
         "passed": PASSED,
@@ -121,7 +121,7 @@ def build_report(
         "scores": model_scores(result.recordings),
         "findings": findings(result),
         "updating": updating_rows(result),
-        "updating_numbers": {} if beam is None else updating_numbers(beam),
+        "updating_numbers": numbers,
         "updating_figures": list(figures_of("updating", result, "all", cache=cache)),
         "readings": _readings(views),
         "detail": detail,
@@ -134,6 +134,10 @@ def build_report(
         "run_sections": added_sections(result, cache),
     }
     return unbroken(_templates().get_template("report.html.j2").render(page))
+
+
+def _frequency(mode: IdentifiedMode) -> str:
+    return hertz(mode.frequency_hz, mode.frequency_sd_hz, clock_is_known=mode.posterior.rate_sd_ppm > 0.0)
 
 
 def _templates() -> jinja2.Environment:

@@ -15,21 +15,24 @@ if TYPE_CHECKING:
     from modalcam.pipeline import RunResult
 
 
+Rows = Callable[["RunResult"], Sequence[dict[str, Any]]]
+
+
 @dataclass(frozen=True)
 class RegisteredTable:
     """Columns of a table; of one that a run writes where it has rows, what it holds and its rows."""
 
     columns: tuple[Column, ...]
     about: str = ""
-    rows: Callable[[RunResult], Sequence[dict[str, Any]]] | None = None
+    rows: Rows | None = None
 
 
 #: Each table by the name of its file.
 REGISTERED: dict[str, RegisteredTable] = {}
 
 
-def register_table(name: str, *table: Any) -> None:
-    """Add a table of an app or a plugin by the fields of `RegisteredTable`; ValueError if another one has the name."""
-    if REGISTERED.setdefault(name, made := RegisteredTable(*table)) != made:
+def register_table(name: str, columns: tuple[Column, ...], about: str = "", rows: Rows | None = None) -> None:
+    """Add a table of an app or a plugin, as in `RegisteredTable`; ValueError if another one has the name."""
+    if REGISTERED.setdefault(name, made := RegisteredTable(columns, about, rows)) != made:
         msg = f"a table named {name!r} is registered already; choose another name"
         raise ValueError(msg)

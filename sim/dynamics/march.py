@@ -221,7 +221,7 @@ def accept(
 
 
 # Nothing is allocated here, so that references are not counted: counting took half of the time.
-@njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+@njit(cache=True, _nrt=False)  # type: ignore[call-overload]  # numba's own option, absent from its types
 def march(
     counts: tuple[int, int],
     step_s: float,

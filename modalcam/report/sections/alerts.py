@@ -11,7 +11,6 @@ import numpy as np
 from modal_id import Check, DrivenMotion, IdentifiedMode, ModeFlag, quoted_note
 from modal_id.modes import line_effect
 from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult
-from modalcam.report.sections.updating import updating_numbers
 from modalcam.report.signals import best_modes, main_modes
 from modalcam.report.style import count, fixed, listed, mode_name, p_value, percent, significant
 from tracker import REGISTRY, MarkerTracks, Severity
@@ -97,7 +96,10 @@ class Alert:
 
 
 def alerts(
-    result: RunResult, views: Sequence[dict[str, Any]] = (), repeats: Iterable[MeasuredMode] = ()
+    result: RunResult,
+    views: Sequence[dict[str, Any]] = (),
+    repeats: Iterable[MeasuredMode] = (),
+    updating: Mapping[str, Any] | None = None,
 ) -> list[Alert]:
     """Failed checks in order of their effect.
 
@@ -107,6 +109,8 @@ def alerts(
         Of `recording_view`: checks of the residuals and of the shapes.
     repeats : iterable of MeasuredMode
         Modes that several recordings have.
+    updating : mapping or None
+        Of `updating_numbers`; None or empty where nothing was updated.
     """
     kinds: dict[str, Callable[[RecordingResult], bool]] = {
         "playback": lambda r: _tracked(r, lambda tracks: tracks.time_axis.is_playback_guess),
@@ -125,7 +129,7 @@ def alerts(
     found += [*_flagged(result), *_of_fits(views, modes_hz)]
     found.append(Alert("rate", tuple(_other_rates(result))))
     found.append(Alert("cut", tuple(_cut_files(result))))
-    found.append(Alert("beam", tuple(_strained(result))))
+    found.append(Alert("beam", tuple(_strained(updating or {}))))
     found.append(Alert("repeats", tuple(("modes", _disagreement(m)) for m in repeats if _disagrees(m))))
     return sorted((alert for alert in found if alert.places), key=lambda alert: KINDS.index(alert.kind))
 
@@ -148,9 +152,8 @@ def _cut_files(result: RunResult) -> Iterator[tuple[str, str]]:
                 yield anchor_of(i), f"{cut.partition(': ')[2]} ({recording.name})"
 
 
-def _strained(result: RunResult) -> Iterator[tuple[str, str]]:
+def _strained(numbers: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """The property that updating changes most, where its prior hardly allows that."""
-    numbers = updating_numbers(result.beam) if result.beam else {}
     if numbers and numbers["strain"] >= TUNING.strain:
         by = f"{significant(numbers['strained_change'], 2)} %, {significant(numbers['strain'], 2)} standard deviations"
         yield "updating", f"{numbers['strained']} changes by {by} of the prior"

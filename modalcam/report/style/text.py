@@ -85,9 +85,9 @@ def with_sd(value: float, sd: float) -> str:
     return f"{fixed(value, decimals)} ± {fixed(sd, decimals)}"
 
 
-def hertz(frequency_hz: float, sd_hz: float, rate_sd_ppm: float = 0.0) -> str:
+def hertz(frequency_hz: float, sd_hz: float, *, clock_is_known: bool = False) -> str:
     """``value ± sd`` of a frequency, with ``†`` where no ordinary clock is known to the sd and no other is stated."""
-    below = not rate_sd_ppm and 0.0 < sd_hz < 1e-6 * time_axis.RATE_SD_PPM["camera header"] * frequency_hz
+    below = not clock_is_known and 0.0 < sd_hz < 1e-6 * time_axis.RATE_SD_PPM["camera header"] * frequency_hz
     return with_sd(frequency_hz, sd_hz) + "†" * below
 
 

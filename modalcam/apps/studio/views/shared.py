@@ -135,7 +135,7 @@ def number(label: str, width: str = "number", **options: Any) -> Any:
 
 
 def remark(rank: Rank, text: str) -> None:
-    """A sentence with its rank, which is not told by its colour alone."""
+    """A sentence that begins with its rank, for readers who do not see its colour."""
     ui.label(f"{rank.word}: {shown(text)}").classes(f"remark {rank.word.lower()}")
 
 
