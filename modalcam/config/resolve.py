@@ -10,14 +10,8 @@ from pydantic import ValidationError
 
 from modal_id import IdentifyOptions, IdentifySettings
 from modalcam.common import ConfigError
-from modalcam.config.schema import (
-    REQUIRED_OF_BEAM,
-    BeamConfig,
-    ExperimentConfig,
-    RecordingConfig,
-    UpdatingConfig,
-)
-from sim.beam import BeamModes, BeamProperties, ElasticClamp, PointMass
+from modalcam.config.schema import ExperimentConfig, RecordingConfig, UpdatingConfig
+from sim.beam import BeamModes
 from sim.updating import UpdatingSettings
 from tracker import CameraOptions, MarkerOptions, TrackerSettings
 from tracker.geometry import Lens
@@ -96,43 +90,3 @@ def random_words(sha256: str) -> tuple[int, ...]:
 def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
     """Settings of updating, as configured."""
     return UpdatingSettings(**dict(updating))
-
-
-def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
-    """The beam as configured, or a sentence about what a simulation lacks; ConfigError for contradictions."""
-    if beam is None:
-        return "There is no [beam] in the configuration, so nothing was simulated, and mode numbers were not checked."
-    missing = beam.missing()
-    if missing:
-        keys = ", ".join(f"beam.{key}" for key in missing)
-        return f"The beam was not simulated: {keys} not given in the configuration."
-    required = {key: getattr(beam, key) for key in REQUIRED_OF_BEAM}
-    masses = tuple(
-        PointMass(
-            position_m=m.position_mm * 1e-3,
-            mass_kg=m.mass_g * 1e-3,
-            rotary_inertia_kg_m2=m.rotary_inertia_g_mm2 * 1e-9,
-        )
-        for m in beam.point_masses
-    )
-    clamp = None
-    if beam.clamp is not None:
-        clamp = ElasticClamp(beam.clamp.rotation_n_m_rad, beam.clamp.translation_n_m)
-    try:
-        return BeamProperties.uniform(
-            length_m=required["length_mm"] * 1e-3,
-            width_m=required["width_mm"] * 1e-3,
-            thickness_m=required["thickness_mm"] * 1e-3,
-            density_kg_m3=required["density_kg_m3"],
-            elastic_modulus_pa=required["elastic_modulus_mpa"] * 1e6,
-            orientation=beam.orientation,
-            elements=beam.elements,
-            point_masses=masses,
-            angle_deg=beam.angle_deg,
-            clamp=clamp,
-            ends=beam.ends,
-            tension_n=beam.tension_n,
-        )
-    except ValueError as error:
-        msg = f"[beam]: {error}"
-        raise ConfigError(msg) from error

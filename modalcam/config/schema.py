@@ -1,15 +1,12 @@
 """Sections and keys of `experiment.toml`: each key is one field with its description, limits and example.
 
 `modalcam init`, docs/configuration.md and the help texts of the command line are generated from these fields.
-
-Quantities that cannot be in the unit of their key, such as a length in metres under `length_mm`.
 """
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -24,12 +21,11 @@ from pydantic import (
 
 from modal_id import IdentifyOptions
 from modalcam.common import ConfigError
-from sim.beam import End
-from sim.damping import Material, selectable_damping_models
+from modalcam.config.beam import BeamConfig, position_problem
+from sim.damping import selectable_damping_models
 from tracker import (
     CameraOptions,
     Finite,
-    Length,
     MarkerOptions,
     NonNegative,
     Options,
@@ -37,106 +33,6 @@ from tracker import (
     Positive,
     problems,
 )
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Properties beyond which a value is taken to be in another unit."""
-
-    #: [kg/m3] a smaller density is refused
-    #: physics: Foams for models begin there.
-    least_density: float = 10.0
-    #: [kg/m3] a larger density is refused
-    #: physics: The densest metals end at 22 600 kg/m3.
-    most_density: float = 30_000.0
-    #: [MPa] a smaller modulus is refused
-    #: physics: Soft rubber has 0.1 MPa.
-    least_modulus: float = 1e-3
-    #: [MPa] a larger modulus is refused
-    #: physics: Diamond has 1.2e6 MPa.
-    most_modulus: float = 2e6
-    #: [kg/m3] from this density on the modulus is at least `softest_dense`
-    #: physics: No material that is denser than light metals is softer.
-    dense: float = 2500.0
-    #: [MPa] a smaller modulus of a dense material is refused
-    #: physics: As for `dense`.
-    softest_dense: float = 1000.0
-    #: [thicknesses] a shorter beam is refused
-    #: physics: It is no thin beam.
-    least_length: float = 3.0
-    #: [thicknesses] a longer beam is refused
-    #: physics: A tape of 1 m and 0.01 mm has 1e5.
-    most_length: float = 3e5
-    #: [thicknesses] a narrower beam is refused
-    #: physics: It bends in the other plane.
-    least_width: float = 0.05
-    #: [thicknesses] a wider beam is refused
-    #: physics: A foil of 0.3 m and 0.01 mm has 3e4.
-    most_width: float = 3e4
-
-
-TUNING = Tuning()
-
-
-def unit_problem(
-    length_mm: float | None,
-    width_mm: float | None,
-    thickness_mm: float | None,
-    density_kg_m3: float | None,
-    elastic_modulus_mpa: float | None,
-) -> str | None:
-    """Sentence about a property of a beam that cannot be in the unit of its key, with the likely unit, or None."""
-    material = _material(density_kg_m3, elastic_modulus_mpa)
-    if material is not None or thickness_mm is None:
-        return material
-    for name, value, (least, most) in (
-        ("length_mm", length_mm, (TUNING.least_length, TUNING.most_length)),
-        ("width_mm", width_mm, (TUNING.least_width, TUNING.most_width)),
-    ):
-        if value is None or least <= value / thickness_mm <= most:
-            continue
-        small, large = (name, "thickness_mm") if value < least * thickness_mm else ("thickness_mm", name)
-        size = {name: value, "thickness_mm": thickness_mm}
-        return (
-            f"{name} = {value:g} and thickness_mm = {thickness_mm:g} are not those of a beam that bends; if {small} is "
-            f"in metres, write {1e3 * size[small]:g}; if {large} is in micrometres, write {1e-3 * size[large]:g}"
-        )
-    return None
-
-
-def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | None:
-    """Sentence about a marker that lies beyond the end of the beam, with the likely unit, or None."""
-    furthest = max(positions_mm, default=0.0)
-    if furthest <= length_mm:
-        return None
-    likely = f"; if length_mm is in metres, write {1e3 * length_mm:g}" if furthest > 30.0 * length_mm else ""
-    return (
-        f"markers.positions_mm: a marker at {furthest:g} mm from the clamp lies beyond the end of the beam "
-        f"(beam.length_mm = {length_mm:g}){likely}"
-    )
-
-
-def _material(density_kg_m3: float | None, elastic_modulus_mpa: float | None) -> str | None:
-    if density_kg_m3 is not None and not TUNING.least_density <= density_kg_m3 <= TUNING.most_density:
-        unit, factor = ("g/cm3", 1e3) if density_kg_m3 < TUNING.least_density else ("g/m3", 1e-3)
-        return (
-            f"density_kg_m3 = {density_kg_m3:g} is that of no material of beams; if it is in {unit}, write "
-            f"{factor * density_kg_m3:g}"
-        )
-    if elastic_modulus_mpa is None:
-        return None
-    if elastic_modulus_mpa > TUNING.most_modulus:
-        return (
-            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material; if it is in Pa, write "
-            f"{1e-6 * elastic_modulus_mpa:g}"
-        )
-    dense = density_kg_m3 is not None and density_kg_m3 >= TUNING.dense
-    if elastic_modulus_mpa < (TUNING.softest_dense if dense else TUNING.least_modulus):
-        return (
-            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material"
-            f"{f' of {density_kg_m3:g} kg/m3' if dense else ''}; if it is in GPa, write {1e3 * elastic_modulus_mpa:g}"
-        )
-    return None
 
 
 def _file_name(value: object) -> str:
@@ -204,99 +100,6 @@ def camera_given(values: dict[str, Any], prefix: str = "") -> CameraConfig:
 
 class MarkersConfig(MarkerOptions):
     """Markers: their kind, size and position on the beam."""
-
-
-class PointMassConfig(Options):
-    """Mass fixed to the beam, such as a sensor or a marker; one table per mass."""
-
-    position_mm: NonNegative = Field(description="Distance from the clamp.", examples=[440.0])
-    mass_g: Positive = Field(description="Mass.", examples=[0.4])
-    rotary_inertia_g_mm2: NonNegative = Field(
-        default=0.0, description="Rotary inertia about the axis of bending.", examples=[2.0]
-    )
-
-
-class ClampConfig(Options):
-    """Elastic clamp; without this section the clamp is rigid."""
-
-    rotation_n_m_rad: Positive = Field(description="Rotational stiffness.", examples=[300.0])
-    translation_n_m: Positive | None = Field(
-        default=None,
-        description="Translational stiffness; rigid against translation when not given.",
-        examples=[1e6],
-    )
-
-
-REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
-
-
-class BeamConfig(Options):
-    """Beam: geometry, material and mounting. Without this section nothing is simulated."""
-
-    length_mm: Length | None = Field(default=None, description="Free length, clamp to tip.", examples=[500.0])
-    length_sd_mm: NonNegative | None = Field(default=None, description="Its sd.", examples=[0.5])
-    width_mm: Length | None = Field(default=None, description="Width of the cross-section.", examples=[5.0])
-    thickness_mm: Length | None = Field(
-        default=None,
-        description="Thickness of the cross-section, in the direction of bending.",
-        examples=[0.5],
-    )
-    thickness_sd_mm: NonNegative | None = Field(default=None, description="Sd of its mean.", examples=[0.005])
-    density_kg_m3: Positive | None = Field(default=None, description="Mass density.", examples=[8000.0])
-    density_sd_kg_m3: NonNegative | None = Field(default=None, description="Its sd.", examples=[40.0])
-    elastic_modulus_mpa: Positive | None = Field(
-        default=None, description="Young's modulus.", examples=[210000.0]
-    )
-    material: Material | None = Field(
-        default=None,
-        description="Its thermal properties give the thermoelastic damping.",
-        examples=["steel"],
-    )
-    orientation: Literal["hanging", "standing", "horizontal", "angled", "none"] = Field(
-        default="hanging",
-        description='Direction of the undeformed beam against gravity; "horizontal" bends under its weight, "none" '
-        'neglects gravity, "angled" needs angle_deg.',
-    )
-    angle_deg: Finite | None = Field(
-        default=None,
-        description='Angle from hanging, counter-clockwise, for orientation "angled".',
-        examples=[30.0],
-    )
-    elements: int = Field(default=20, ge=2, le=1000, description="Number of finite elements.")
-    point_masses: tuple[PointMassConfig, ...] = Field(default=(), description="Masses fixed to the beam.")
-    clamp: ClampConfig | None = Field(default=None, description="Elastic clamp.")
-    ends: tuple[End, End] = Field(
-        default=("clamped", "free"),
-        description="First end, from which positions count, and second end: clamped; pinned (may rotate); guided (may "
-        "move across); free. Along the beam all but free ends are held.",
-        examples=[["pinned", "pinned"]],
-    )
-    tension_n: Finite = Field(
-        default=0.0,
-        description="Axial force of the straight beam without weight, positive in tension; no end may be free.",
-        examples=[20.0],
-    )
-
-    @model_validator(mode="after")
-    def _angle_belongs_to_angled(self) -> BeamConfig:
-        if (self.orientation == "angled") != (self.angle_deg is not None):
-            msg = (
-                'orientation = "angled" needs angle_deg (from hanging, counter-clockwise), and no other orientation '
-                f"takes it; found orientation = {self.orientation!r} and angle_deg = {self.angle_deg}"
-            )
-            raise ValueError(msg)
-        return self
-
-    @model_validator(mode="after")
-    def _in_the_units_of_the_keys(self) -> BeamConfig:
-        problem = unit_problem(*(getattr(self, key) for key in REQUIRED_OF_BEAM))
-        if problem is not None:
-            raise ValueError(problem)
-        return self
-
-    def missing(self) -> tuple[str, ...]:
-        """Keys that a simulation needs and that are not given."""
-        return tuple(key for key in REQUIRED_OF_BEAM if getattr(self, key) is None)
 
 
 class DampingConfig(Options):

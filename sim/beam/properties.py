@@ -190,6 +190,11 @@ class BeamProperties:
         return self.ends == ("clamped", "free")
 
     @property
+    def one_section(self) -> bool:
+        """Whether width and thickness are the same in all elements."""
+        return bool(np.ptp(self.width_m) == 0.0 and np.ptp(self.thickness_m) == 0.0)
+
+    @property
     def rigid_body_motions(self) -> tuple[str, ...]:
         """Motions across the beam that its ends allow without bending: "translation", "rotation"."""
         positions = sum(end in ("clamped", "pinned") for end in self.ends)

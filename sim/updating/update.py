@@ -287,13 +287,20 @@ def all_updates(
 
 
 def _coarse(properties: BeamProperties) -> BeamProperties:
-    """The beam with at most 24 elements: widths and thicknesses interpolated to the middles of the elements."""
-    if properties.elements <= TUNING.most_elements:
+    """The beam with 24 elements, or the fewest more of which each has one section, by values in their middles.
+
+    A section that changes at every boundary of the elements given varies smoothly: 24 have that of their middles.
+    """
+    fine = properties.elements
+    if fine <= TUNING.most_elements:
         return properties
-    fine = (np.arange(properties.elements) + 0.5) / properties.elements
-    new = (np.arange(TUNING.most_elements) + 0.5) / TUNING.most_elements
+    changes = 1 + np.flatnonzero(np.diff(properties.width_m) + 1j * np.diff(properties.thickness_m))
+    smooth = changes.size == fine - 1
+    counts = range(TUNING.most_elements, fine + 1)
+    count = next(n for n in counts if smooth or not np.any(changes * n % fine))
+    old, new = (np.arange(fine) + 0.5) / fine, (np.arange(count) + 0.5) / count
     return replace(
         properties,
-        width_m=np.interp(new, fine, properties.width_m),
-        thickness_m=np.interp(new, fine, properties.thickness_m),
+        width_m=np.interp(new, old, properties.width_m),
+        thickness_m=np.interp(new, old, properties.thickness_m),
     )

@@ -40,8 +40,8 @@ def sizes_of(result: RunResult) -> dict[str, Quantity]:
 
 
 def of_run(result: RunResult) -> dict[str, Any] | None:
-    """Arguments of `material` for the beam of a run; None unless one end is clamped and modes have numbers."""
-    if result.beam is None or result.beam.standard.ends != ("clamped", "free"):
+    """Arguments of `material` for the beam of a run; None unless a cantilever of one section has numbered modes."""
+    if result.beam is None or not (result.beam.standard.cantilever and result.beam.standard.one_section):
         return None
     try:
         modes, notes = modes_of(result)
@@ -72,6 +72,11 @@ def request(
         msg = f"--base and --base-mode: expected only with --specimen {', '.join(LAYERED)}; found {kind}"
         raise InputError(msg)
     beam = bar.beam.standard if bar and bar.beam else None
+    if beam and not beam.one_section:
+        msg = (
+            "[[beam.sections]]: the equations are those of one width and thickness; found changes of section"
+        )
+        raise InputError(msg)
     if bar and beam:
         sizes_of_run = sizes_of(bar)
         if "mass_g" in read:

@@ -175,6 +175,37 @@ def test_ends_are_set_in_the_beam_and_what_they_contradict_is_named():
         beam_properties(BeamConfig.model_validate({**BEAM, "ends": ["free", "free"]}))
 
 
+def test_a_change_of_section_begins_with_an_element_and_keeps_what_it_does_not_name():
+    sections = [
+        {"from_mm": 30.0, "thickness_mm": 3.0},
+        {"from_mm": 100.00001, "width_mm": 10.0},
+        {"from_mm": 270},
+    ]
+    found = beam_properties(BeamConfig.model_validate({**BEAM, "elements": 30, "sections": sections}))
+    assert (1e3 * found.thickness_m).round(9).tolist() == 3 * [2.0] + 7 * [3.0] + 20 * [2.0]
+    assert (1e3 * found.width_m).round(9).tolist() == 10 * [20.0] + 17 * [10.0] + 3 * [20.0]
+
+
+@pytest.mark.parametrize(
+    ("starts", "words"),
+    [
+        ([40.0], "from_mm = 40 is no boundary of the 20 elements of 15 mm each; write 45, or elements = 30"),
+        (
+            [60.0, 47.0],
+            "expected from_mm in rising order, below the length of the beam (300 mm); found 60, 47",
+        ),
+        ([30.0, 30.0], "in rising order"),
+        ([300.0], "in rising order, below the length"),
+    ],
+)
+def test_changes_of_section_that_no_mesh_has_are_refused(starts, words):
+    sections = [{"from_mm": start, "width_mm": 1.0} for start in starts]
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        beam_properties(BeamConfig.model_validate({**BEAM, "sections": sections}))
+    with pytest.raises(ValidationError, match="if width_mm is in metres, write 20"):
+        BeamConfig.model_validate({**BEAM, "sections": [{"from_mm": 150.0, "width_mm": 0.02}]})
+
+
 @pytest.mark.parametrize("wrong", [{"orientation": "angled"}, {"angle_deg": 10.0}])
 def test_an_angle_requires_orientation_angled(wrong):
     with pytest.raises(ValidationError, match="angle_deg"):

@@ -25,6 +25,8 @@ NAMES = [f"{o.section}.{o.key}" for _, o in OPTIONS]
 # Other keys that a key requires.
 REQUIRED = {
     "beam.angle_deg": {"orientation": "angled"},
+    "beam.sections.width_mm": {"from_mm": 1.0},
+    "beam.sections.thickness_mm": {"from_mm": 1.0},
     "beam.point_masses.position_mm": {"mass_g": 1.0},
     "beam.point_masses.mass_g": {"position_mm": 1.0},
     "beam.point_masses.rotary_inertia_g_mm2": {"mass_g": 1.0, "position_mm": 1.0},

@@ -247,7 +247,13 @@ def test_only_a_clamped_bar_with_numbered_modes_has_moduli():
     """Without the material there is neither section nor link, and no table."""
     run = run_result(paper_recordings(2), beam=beam_result())
     held = replace(run.beam, standard=replace(run.beam.standard, ends=("clamped", "clamped")))
-    for none in (replace(run, beam=None), replace(run, beam=held), replace(run, recordings=())):
+    thin = replace(run.beam, standard=run.beam.standard.scaled(thickness=np.repeat([1.0, 0.9], 10)))
+    for none in (
+        replace(run, beam=None),
+        replace(run, beam=held),
+        replace(run, beam=thin),
+        replace(run, recordings=()),
+    ):
         assert of_run(none) is None
     assert "#material" not in build_report(run, plots="static")
 
