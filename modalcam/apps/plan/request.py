@@ -348,6 +348,8 @@ class FrameRate:
 class TrialSummary:
     """All rendered recordings of one mode: in how many it was identified, and the reasons of the failures, each once.
 
+    A mode with a flag of a wrong value counts as not identified.
+
     ``damping_spread`` is the standard deviation of the damping ratio over the trials; NaN below three.
     """
 

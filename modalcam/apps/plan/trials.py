@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modal_id import Identification, IdentifiedMode, IdentifySettings, identify
+from modal_id import Identification, IdentifiedMode, IdentifySettings, ModeFlag, identify
 from modal_id.modes import apparent_hz
 from modalcam.apps.plan.predict import motions, predict
 from modalcam.apps.plan.request import (
@@ -179,9 +179,12 @@ def _trial(task: _TrialTask) -> IdentifiedMode | Failure:
             seed_key=task.seed[1:],
         ),
     )
-    if isinstance(found, Identification) and isinstance(found.target, IdentifiedMode):
-        return found.target
-    return Failure(found.reason if isinstance(found, Failure) else "the mode was not identified")
+    target = found.target if isinstance(found, Identification) else found
+    if isinstance(target, IdentifiedMode):
+        # which of the possible frequencies is the true one is known here
+        wrong = ", ".join(flag for flag in target.wrong_flags if flag != ModeFlag.ALIASED_POSSIBLE.name)
+        return Failure(f"flagged {wrong}: its values may be wrong") if wrong else target
+    return Failure("the mode was not identified" if target is None else target.reason)
 
 
 def _summary(mode: int, results: list[IdentifiedMode | Failure | TaskFailure]) -> TrialSummary:
