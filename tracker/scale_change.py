@@ -20,6 +20,7 @@ from scipy.special import fdtrc
 
 from tracker.arrays import BoolArray, FloatArray
 from tracker.position_errors import TUNING as POSITION
+from tracker.spread import robust_sd
 from tracker.vibration_direction import component, strongest_line_hz
 
 
@@ -204,7 +205,7 @@ class MarkersInFrames:
         fit = _LeastSquares.of(self.splines, columns, np.ones(values.size, dtype=bool))
         if fit is not None:
             residual = np.abs(fit.residual(values))
-            usual = max(sd, 1.4826 * float(np.median(residual)))
+            usual = max(sd, robust_sd(residual))
             fit = _LeastSquares.of(self.splines, columns, residual < TUNING.outlier_sd * usual)
         if fit is None:
             return None

@@ -9,7 +9,7 @@ from scipy.special import gammainc, gammaincinv
 
 from modal_id.data.prepare import Prepared, Projection
 from modal_id.data.samples import FitData, limited, reject_outliers
-from tracker import FloatArray
+from tracker import MAD_TO_SD, FloatArray
 
 # Fewer channels are fitted directly.
 MOST_DIRECT = 16
@@ -153,7 +153,7 @@ def _interpolated(time_s: FloatArray, values: FloatArray, weights: FloatArray) -
         own = values[used, channel]
         bend = np.abs(own[1:-1] - 0.5 * (own[:-2] + own[2:]))
         around = np.pad(bend, 1)
-        spike = (bend > TUNING.spike_sd * 1.4826 * np.median(bend)) & (
+        spike = (bend > TUNING.spike_sd * MAD_TO_SD * np.median(bend)) & (
             bend >= np.maximum(around[:-2], around[2:])
         )
         kept = np.ones(used.size, dtype=bool)

@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d
 from modal_id.data.samples import runs
 from modal_id.flags import ModeFlag
 from modal_id.results import Identification, IdentifiedMode
-from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
+from tracker import BoolArray, DisplacementSeries, Failure, FloatArray, robust_sd
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _noise(values: FloatArray) -> FloatArray:
             ridge = 1e-12 * np.trace(past) + 1e-300
             weights = np.linalg.solve(past + ridge * np.eye(TUNING.order), gram[:-1, -1])
             error = windows[:, -1] - windows[:, :-1] @ weights
-            spread = 1.4826 * float(np.median(np.abs(error)))
+            spread = robust_sd(error)
             result[channel] = spread / np.sqrt(1.0 + weights @ weights)
             near = np.abs(error) <= 4.0 * spread
             if np.all(near):

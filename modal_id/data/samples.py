@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from tracker import BoolArray, FloatArray
+from tracker import MAD_TO_SD, BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def rough_variance(data: FitData) -> FloatArray:
         good = data.values[data.weights[:, channel] > 0.0, channel]
         if good.size > 4:
             second = np.diff(good, 2)
-            result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
+            result[channel] = (MAD_TO_SD * np.median(np.abs(second))) ** 2 / 6.0
     if data.noise_variance is not None:
         result = np.where(np.isfinite(data.noise_variance), data.noise_variance, result)
     floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
@@ -163,8 +163,6 @@ class Tuning:
 
 TUNING = Tuning()
 
-_MAD_TO_SD = 1.4826
-
 
 def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
     """Samples more than five robust standard deviations from the model; shape (n, k), as weights and residual.
@@ -188,7 +186,7 @@ def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
     columns = zip(residual.T, root.T, used.T, strict=True)
     spread = np.array([np.median(np.abs(r[u]) * s[u]) if np.any(u) else 0.0 for r, s, u in columns])
     known = used & (spread > 0.0)
-    limit = np.divide(TUNING.limit * _MAD_TO_SD * spread, root, out=root, where=known)
+    limit = np.divide(TUNING.limit * MAD_TO_SD * spread, root, out=root, where=known)
     limit[~known] = np.inf
     return np.asarray(limit)
 

@@ -12,7 +12,7 @@ from modal_id.fit import ModalFit
 from modal_id.flags import RATE_CONVERTED_NOTE
 from modal_id.modes.frame_clock import TUNING as CLOCK
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
-from tracker import BoolArray, FloatArray
+from tracker import MEDIAN_MODULUS, BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,6 @@ class Tuning:
     #: [1] share of independent samples below which blended frames are not judged
     #: convention: What a fit leaves of the motion has a periodic power, too.
     mostly_noise: float = 0.5
-    #: [sd] median modulus of a normal density
-    #: physics: Its quartile.
-    median_sd: float = 0.6745
     #: [1] number of phases that each have their own noise variance
     #: measurement: With one for all, 10 of 36 unconverted films in H.264 were taken for blended ones.
     variances: int = 8
@@ -151,7 +148,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
     found = _best(record, even, "moved", patterns)
     if found is not None:
         return found
-    spread = np.median(np.abs(even.residual), axis=0) / TUNING.median_sd
+    spread = np.median(np.abs(even.residual), axis=0) / MEDIAN_MODULUS
     kept = np.all(np.abs(even.residual) <= TUNING.outlier_sd * spread, axis=1)
     record = replace(record.only(kept), steady_noise=steady_noise, predicted=predicted)
     even = record.fit(record.evenly(), record.all_modes)

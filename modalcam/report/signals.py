@@ -18,7 +18,7 @@ from modal_id.fit import StabilityDiagram, stability_diagram
 from modalcam.pipeline import RecordingResult, RunResult
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
-from tracker import ComplexArray, FloatArray, IntArray, MarkerTracks, flags
+from tracker import ComplexArray, FloatArray, IntArray, MarkerTracks, flags, robust_sd
 from tracker.template import compression, prediction
 
 _ENVELOPE_POINTS = 160
@@ -312,7 +312,7 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
                 continue
             stated[c, k] = np.median(sd[good, k])
             # A median: a few lost frames or jumps are not the scatter of the rest.
-            scatter[c, k] = 1.4826 * np.median(np.abs(residual[good]))
+            scatter[c, k] = robust_sd(residual[good])
             residual = np.where(good, residual, 0.0)
             residual[good] /= sd[good, k]
             squares += np.add.reduceat(residual**2, edges[:-1])

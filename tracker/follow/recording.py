@@ -19,6 +19,7 @@ from tracker.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from tracker.follow.fits import RowStore
 from tracker.markers import FrameFollower, FrameResult
 from tracker.results import FrameStrip
+from tracker.spread import robust_sd
 from tracker.video import Frame, SourceInfo, UnreadableVideoError, source, to_8_bit
 
 
@@ -245,7 +246,7 @@ def _predictors(positions: FloatArray, left_out: BoolArray) -> tuple[FloatArray,
             design = np.column_stack([windows[used, : TUNING.order] - centre, np.ones(used.size)])
             target = windows[used, -1] - centre
             best = np.linalg.lstsq(design, target, rcond=None)[0]
-            spread = 1.4826 * float(np.median(np.abs(target - design @ best)))
+            spread = robust_sd(target - design @ best)
             # The constant for coordinates that are not centred.
             best[TUNING.order] += centre * (1.0 - best[: TUNING.order].sum())
             coefs[k, ahead], sd[k, ahead] = best, max(spread, TUNING.least_sd_px)

@@ -15,6 +15,7 @@ from tracker.line import kernel
 from tracker.line.cholesky import solve_in_place
 from tracker.line.light import Light, hold_light
 from tracker.prediction import TUNING as PREDICTION
+from tracker.spread import MAD_TO_SD
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ def smooth_line(
         at_stations(line, smooth, fitted)
         for k in range(m):
             off[k] = abs(shifts[k] - fitted[k] - rest[k])
-        typical = 1.4826 * np.median(off[accepted])
+        typical = MAD_TO_SD * np.median(off[accepted])
         dropped = False
         for k in range(m):
             far = max(OFF_LINE_PX, OFF_LINE_SD * max(results[k, kernel.SD], typical))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.assignment import Expectation, Scene, assign, completed, spacing_px
 from tracker.markers.kind import Candidates
+from tracker.spread import robust_sd
 from tracker.video import to_8_bit
 
 
@@ -156,7 +157,7 @@ def _explained_by_shift(
 def _beyond_still(change: Image) -> Image:
     """Change of each window beyond that of the still part of the image."""
     still = float(np.median(change))
-    spread = 1.4826 * float(np.median(np.abs(change - still)))
+    spread = robust_sd(change - still)
     return np.asarray(np.maximum(change - still - TUNING.moves * max(spread, TUNING.least_spread), 0.0))
 
 

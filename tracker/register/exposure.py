@@ -10,6 +10,7 @@ from tracker.arrays import FloatArray
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
+from tracker.spread import robust_sd
 from tracker.template import (
     Blurrer,
     exposed_path_px,
@@ -78,7 +79,7 @@ def estimate_exposure(frames: CalibrationFrames, models: tuple[MarkerModel, ...]
         return None
     shares, curvatures = np.array(estimates).T
     middle = float(np.median(shares))
-    scatter = 1.4826 * float(np.median(np.abs(shares - middle))) / np.sqrt(len(shares))
+    scatter = robust_sd(shares - middle) / np.sqrt(len(shares))
     formal = np.sqrt(1.0 / np.sum(curvatures))
     return ExposureShare(min(max(middle, 0.0), 1.0), float(max(scatter, formal)))
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.spread import MAD_TO_SD, robust_sd
 from tracker.template.spline import Template
 
 
@@ -176,7 +177,7 @@ def _near_sd(series: FloatArray) -> float:
     """From the bulk of the residuals of prediction by the nearest neighbours."""
     residual, inflation = prediction(series, first=1, count=TUNING.neighbours)
     residual = residual[np.isfinite(residual)]
-    return float(1.4826 * np.median(np.abs(residual)) / inflation) if residual.size else float("nan")
+    return robust_sd(residual) / inflation if residual.size else float("nan")
 
 
 def _far_sd(series: FloatArray, gap: int) -> float:
@@ -185,7 +186,7 @@ def _far_sd(series: FloatArray, gap: int) -> float:
     residual = residual[np.isfinite(residual)]
     if not residual.size:
         return float("nan")
-    kept = residual[np.abs(residual) <= TUNING.clip * 1.4826 * np.median(np.abs(residual))]
+    kept = residual[np.abs(residual) <= TUNING.clip * MAD_TO_SD * np.median(np.abs(residual))]
     dof_ratio = residual.size / (residual.size - TUNING.far_neighbours)
     return float(np.sqrt(np.mean(kept**2) * dof_ratio) / inflation) if kept.size else float("nan")
 

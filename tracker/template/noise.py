@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
+from tracker.spread import robust_sd
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def _from_one(image: FloatArray, white_level: float) -> NoiseModel:
 
 def _clipped_variance(values: FloatArray) -> float:
     """Variance about zero of the bulk of `values`, clipped at 3 sd and corrected for it."""
-    variance = max(float(np.median(np.abs(values)) * 1.4826) ** 2, TUNING.least_variance)
+    variance = max(robust_sd(values) ** 2, TUNING.least_variance)
     for _ in range(8):
         inside = values[np.abs(values) < TUNING.clip * np.sqrt(variance)]
         if inside.size < 16:

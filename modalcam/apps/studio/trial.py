@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from modalcam.apps.studio.frames import Point
 from modalcam.pipeline import FrameCount
 from tracker import (
-    TUNING as TRACKING,
-)
-from tracker import (
+    MEDIAN_MODULUS,
     FailedTracking,
     Failure,
     FloatArray,
@@ -28,6 +26,9 @@ from tracker import (
     MarkerTracks,
     TrackerSettings,
     track_source,
+)
+from tracker import (
+    TUNING as TRACKING,
 )
 from tracker.line import find_line
 from tracker.markers import NothingFound, detect_markers, filled, kind_of, propose_points
@@ -81,7 +82,7 @@ def followed_windows(
                 sums[:, number] += window, window**2
         if before is not None and len(noises) < _MOST_DIFFERENCES:
             # Most of a picture is at rest: the median of the differences is that of noise alone.
-            noises.append(float(np.median(np.abs(gray - before))) / 0.6745 / np.sqrt(2.0))
+            noises.append(float(np.median(np.abs(gray - before))) / MEDIAN_MODULUS / np.sqrt(2.0))
         before = gray
     noise = float(np.median(noises)) if noises else 0.0
     return tuple(
