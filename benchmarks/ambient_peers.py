@@ -27,11 +27,10 @@ from benchmarks.ambient import arguments, lines_of, matches
 from benchmarks.ambient_scenes import Truth, ambient_record
 from modal_id import Identification, IdentifySettings, identify
 from modal_id.ambient import log_sds
-from tracker import DisplacementSeries, FloatArray
+from tracker import INTERVAL_SD, DisplacementSeries, FloatArray
 
 #: Frequency in Hz, damping ratio and the sd of the latter (NaN where none is stated) of each mode found, shape (k, 3).
 Peer = Callable[[DisplacementSeries, Truth], FloatArray]
-_NORMAL_90 = 1.6448536269514722
 SEGMENT_S, BLOCK_ROWS, LONG_BLOCK_ROWS, ORDER, MOST_ORDER = 102.4, 50, 170, 40, 50
 
 
@@ -129,7 +128,7 @@ def summary(lines: list[dict[str, Any]]) -> str:
         from_law = np.array([log_sds(hz, z, span_s, 1e6) for hz, z in zip(true_hz, true_zeta, strict=True)])
         errors = np.log(np.maximum(f[:, :2], 1e-12) / true[seen]) / from_law
         sd, ratio = f[:, 2], f[:, 1] / true_zeta - 1.0
-        inside = np.abs(f[:, 1] - true_zeta) < _NORMAL_90 * sd
+        inside = np.abs(f[:, 1] - true_zeta) < INTERVAL_SD * sd
         stated = f"{100 * inside[np.isfinite(sd)].mean():.0f} %" if np.isfinite(sd).any() else "none stated"
         rms = np.sqrt(np.mean(np.minimum(errors**2, 1e4), axis=0))
         out.append(

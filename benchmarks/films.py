@@ -22,9 +22,7 @@ from benchmarks.film_scenes import CODECS, FPS, SIZES_PX, Film
 from modal_id import IdentifySettings, identify
 from modal_id.posterior import modal_bound
 from modalcam.pipeline import Cache
-from tracker import FailedTracking, MarkerTracks, displacement_series, track
-
-LEVEL = 0.9
+from tracker import INTERVAL_ENDS, FailedTracking, MarkerTracks, displacement_series, track
 
 
 @dataclass(frozen=True)
@@ -85,14 +83,13 @@ def run_film(film: Film, tracks: MarkerTracks | FailedTracking) -> Trial:
         ).damping_sd
         if target is not None:
             draws = target.posterior
-            tails = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
             found = [
                 target.frequency_hz,
                 target.frequency_sd_hz,
                 target.damping_ratio,
                 target.damping_ratio_sd,
-                *np.quantile(draws.damping_ratio, tails),
-                *np.quantile(draws.frequency_hz, tails),
+                *np.quantile(draws.damping_ratio, INTERVAL_ENDS),
+                *np.quantile(draws.frequency_hz, INTERVAL_ENDS),
             ]
             flags = " ".join(target.flags)
     numbers = (float(value) for value in (*found, error, sd, bound))

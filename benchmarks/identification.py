@@ -22,7 +22,6 @@ from modal_id import Identification, IdentifySettings, identify
 
 # A damping ratio with a larger relative error counts as gross failure and is excluded from the rms.
 _GROSS = 0.5
-_LEVEL = 0.9
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ def _ours(decay: Decay) -> Answer:
         reason = found.failed[0].reason if isinstance(found, Identification) else found.reason
         raise ValueError(reason)
     mode = found.target
-    return Answer(mode.frequency_hz, mode.damping_ratio, mode.damping_interval(_LEVEL))
+    return Answer(mode.frequency_hz, mode.damping_ratio, mode.damping_interval())
 
 
 def _peer(peer: Peer, decay: Decay) -> Answer:

@@ -17,9 +17,8 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.signal import butter, decimate, find_peaks, hilbert, sosfiltfilt
 
-from tracker import FloatArray
+from tracker import INTERVAL_SD, FloatArray
 
-_NORMAL_90 = 1.6448536269514722
 _NONE = (float("nan"), float("nan"))
 
 
@@ -52,7 +51,7 @@ def _from_decay(frequency_hz: float, rate: float, sd: float) -> Answer:
     """Convert the damped frequency and the decay rate of the envelope, with its standard deviation."""
     omega_d = 2.0 * np.pi * frequency_hz
     zeta = rate / np.hypot(rate, omega_d)
-    half = _NORMAL_90 * sd / omega_d
+    half = INTERVAL_SD * sd / omega_d
     return Answer(np.hypot(rate, omega_d) / (2.0 * np.pi), zeta, (zeta - half, zeta + half))
 
 
@@ -110,7 +109,7 @@ def least_squares(time_s: FloatArray, values: FloatArray, expected_hz: float) ->
     """scipy.optimize.curve_fit of Eq. 1 with an offset."""
     start = (_spectral_peak(time_s, values, expected_hz), 0.003, values[0], 0.0, float(np.mean(values)))
     found, covariance = curve_fit(eq1_curve, time_s, values, p0=start)
-    half = _NORMAL_90 * float(np.sqrt(covariance[1, 1]))
+    half = INTERVAL_SD * float(np.sqrt(covariance[1, 1]))
     return Answer(float(found[0]), float(found[1]), (found[1] - half, found[1] + half))
 
 
@@ -151,7 +150,7 @@ def ssi_cov(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answe
             row = int(np.flatnonzero(near[:, order])[0])
             zeta, half = (
                 float(result.Xi_poles[row, order]),
-                _NORMAL_90 * float(result.Xi_poles_std[row, order]),
+                INTERVAL_SD * float(result.Xi_poles_std[row, order]),
             )
             return Answer(float(result.Fn_poles[row, order]), zeta, (zeta - half, zeta + half))
     msg = "no pole within 5 % of the frequency"

@@ -15,6 +15,7 @@ from modal_id import IdentifySettings
 from modal_id.data import Prepared, prepare
 from modal_id.fit import find_modes
 from modal_id.posterior import SampledMode, sample_mode
+from tracker import INTERVAL_ENDS
 
 _WALKERS = 32
 
@@ -56,7 +57,7 @@ def ours(decay: Decay) -> Sampling:
     if not isinstance(sampled, SampledMode):
         raise RuntimeError(sampled.reason)  # noqa: TRY004 - a result, not a type, is wrong
     posterior = sampled.posterior
-    low, high = np.quantile(posterior.damping_ratio, [0.05, 0.95])
+    low, high = np.quantile(posterior.damping_ratio, INTERVAL_ENDS)
     worst = max(posterior.r_hat)
     return Sampling("modalcam", posterior.ess[1], cpu, (float(low), float(high)), f"R-hat {worst:.3f}")
 
@@ -92,7 +93,7 @@ def naive(decay: Decay, steps: int) -> Sampling:
     chain = sampler.get_chain()[steps // 4 :, :, 1]
     logging.getLogger("emcee").setLevel(logging.ERROR)  # the note states the autocorrelation time
     tau = float(emcee.autocorr.integrated_time(chain[:, :, None], quiet=True)[0])
-    low, high = np.quantile(chain, [0.05, 0.95])
+    low, high = np.quantile(chain, INTERVAL_ENDS)
     return Sampling(
         "emcee, six parameters", chain.size / tau, cpu, (float(low), float(high)), f"tau {tau:.0f} steps"
     )

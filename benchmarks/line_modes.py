@@ -22,7 +22,7 @@ from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ
 from sim.render import write_video
 from tracker import FailedTracking, MarkerTracks, TrackerSettings, displacement_series, track
 
-LENGTH_MM, LENGTH_PX, FRAMES, LEVEL = 500.0, 220.0, 400, 0.9
+LENGTH_MM, LENGTH_PX, FRAMES = 500.0, 220.0, 400
 # Typical amplitude of the tip of each mode; that of the large rotation is 200 mm of 500 mm.
 TIP_PX = (8.0, 6.0, 5.0, 4.0, 4.0)
 LARGE_TIP_PX = 0.4 * LENGTH_PX
@@ -120,8 +120,8 @@ def compared(film: ModeFilm, tracks: MarkerTracks) -> Trial:
     if not found.modes:
         return Trial(group)
     mode = max(found.modes, key=lambda each: each.amplitude)
-    low_hz, high_hz = mode.frequency_interval_hz(LEVEL)
-    low, high = mode.damping_interval(LEVEL)
+    low_hz, high_hz = mode.frequency_interval_hz()
+    low, high = mode.damping_interval()
     return Trial(
         group,
         mode.frequency_hz / film.frequency_hz - 1.0,

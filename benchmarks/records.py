@@ -74,7 +74,7 @@ def answer(name: str, seed: int) -> dict[str, Any]:
             "frequency_sd_hz": mode.frequency_sd_hz,
             "zeta": mode.damping_ratio,
             "zeta_sd": mode.damping_ratio_sd,
-            "zeta_90": mode.damping_interval(0.9),
+            "zeta_90": mode.damping_interval(),
             "small_zeta": mode.small_amplitude_damping,
             "target": mode.target,
             "amplitude": mode.amplitude,

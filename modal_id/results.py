@@ -21,7 +21,16 @@ from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.record import FittingRate, Onset, Segment
-from tracker import BoolArray, ComplexArray, Failure, FloatArray, Severity, data_frame, table_row
+from tracker import (
+    INTERVAL_LEVEL,
+    BoolArray,
+    ComplexArray,
+    Failure,
+    FloatArray,
+    Severity,
+    data_frame,
+    table_row,
+)
 
 # The series is part of an identification; packages that use results import it from here.
 from tracker import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
@@ -186,11 +195,11 @@ class IdentifiedMode(Table):
         beyond = self.posterior.extrapolation_damping_ratio
         return self.damping_ratio, float(np.hypot(self.damping_ratio_sd, beyond))
 
-    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
+    def frequency_interval_hz(self, level: float = INTERVAL_LEVEL) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""
         return _central(self.posterior.frequency_hz, level)
 
-    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:
+    def damping_interval(self, level: float = INTERVAL_LEVEL) -> tuple[float, float]:
         """Central credible interval of the damping ratio at `level`."""
         return _central(self.posterior.damping_ratio, level)
 
@@ -236,7 +245,7 @@ class DrivenMotion:
     small_amplitude_frequency: tuple[float, float] = (float("nan"), float("nan"))
     small_amplitude_damping: tuple[float, float] = (float("nan"), float("nan"))
 
-    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
+    def frequency_interval_hz(self, level: float = INTERVAL_LEVEL) -> tuple[float, float]:
         """Central normal interval of the frequency at `level`."""
         reach = float(ndtri(0.5 * (1.0 + level))) * self.frequency_sd_hz
         return self.frequency_hz - reach, self.frequency_hz + reach
@@ -245,7 +254,7 @@ class DrivenMotion:
         """What a flag means for the values."""
         return ModeFlag[flag].usual_severity
 
-    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:  # noqa: ARG002 - as of a mode
+    def damping_interval(self, level: float = INTERVAL_LEVEL) -> tuple[float, float]:  # noqa: ARG002 - as of a mode
         """NaN: a steady motion does not show damping."""
         return float("nan"), float("nan")
 

@@ -49,6 +49,9 @@ from .settings_base import models_in as models_in
 from .settings_base import parse_fps as parse_fps
 from .settings_base import problems as problems
 from .settings_base import write_fps as write_fps
+from .spread import INTERVAL_ENDS as INTERVAL_ENDS
+from .spread import INTERVAL_LEVEL as INTERVAL_LEVEL
+from .spread import INTERVAL_SD as INTERVAL_SD
 from .spread import MAD_TO_SD as MAD_TO_SD
 from .spread import MEDIAN_MODULUS as MEDIAN_MODULUS
 from .spread import robust_sd as robust_sd

@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.special import chdtrc, chdtri
 
-from tracker import FloatArray
+from tracker import INTERVAL_LEVEL, FloatArray
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
 
 
 def between_interval(
-    values: Sequence[float], sds: Sequence[float], level: float = 0.9
+    values: Sequence[float], sds: Sequence[float], level: float = INTERVAL_LEVEL
 ) -> tuple[float, float]:
     """Central confidence interval of the standard deviation between independent values; from 0 to infinity for one.
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from modal_id.response.columns import FIXED, OF_MODE, Samples, amplitudes, spline_gain, transfer
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import Noise
-from tracker import BoolArray, ComplexArray, FloatArray
+from tracker import INTERVAL_ENDS, BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -344,7 +344,7 @@ def model_bands(
         poles = found.poles + own_move[0::2] + 1j * own_move[1::2]
         own = coefficients[draw]
         sizes[draw] = np.abs(transfer(frequency_hz, poles, own[:2], amplitudes(own)[0] * loss[:, None]))
-    low, high = np.quantile(sizes, (0.05, 0.95), axis=0)
+    low, high = np.quantile(sizes, INTERVAL_ENDS, axis=0)
     return low, high
 
 

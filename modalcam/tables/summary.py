@@ -38,7 +38,7 @@ from modalcam.tables.base import Output, Writer
 from modalcam.tables.csv_files import LAW_TABLES, comparison_rows, drag_rows, law_rows, updating_rows
 from modalcam.tables.shapes import curvature
 from sim.updating import Updating
-from tracker import DisplacementSeries, FailedTracking, Failure, MarkerTracks, table_row
+from tracker import INTERVAL_ENDS, DisplacementSeries, FailedTracking, Failure, MarkerTracks, table_row
 
 
 def summary(result: RunResult) -> dict[str, Any]:
@@ -120,9 +120,9 @@ def _tracking(tracks: MarkerTracks) -> dict[str, Any]:
 def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
     return {
         **table_row((*IDENTITY, *FREQUENCY, *DAMPING, *AMPLITUDE), mode),
-        "frequency_interval_90_hz": mode.frequency_interval_hz(0.9),
+        "frequency_interval_90_hz": mode.frequency_interval_hz(),
         "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
-        "damping_ratio_interval_90": mode.damping_interval(0.9),
+        "damping_ratio_interval_90": mode.damping_interval(),
         "damping_ratio_interval_99": mode.damping_interval(0.99),
         **table_row((*SMALL_FREQUENCY, *SMALL_DAMPING), mode),
         **_fields(mode, "shape shape_sd mac amplitude_dependence decays flags severities notes"),
@@ -165,7 +165,7 @@ def _updating(updated: Updating) -> dict[str, Any]:
             "factor": np.exp(posterior.log_factor),
             "factor_interval_90": posterior.factor_interval(),
             "frequency_interval_90_hz": posterior.frequency_interval_hz(),
-            "prediction_interval_90_hz": np.quantile(updated.predicted_hz, [0.05, 0.95], axis=0).T,
+            "prediction_interval_90_hz": np.quantile(updated.predicted_hz, INTERVAL_ENDS, axis=0).T,
             **_fields(
                 posterior,
                 "prior variance_ratio information determined undetermined effective_draws seed",

@@ -13,9 +13,9 @@ from modal_id import Identification
 from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
-from sim.damping import SD_OF_90, DampingModel
+from sim.damping import DampingModel
 from sim.dynamics import FailedSimulation, State
-from tracker import Failure, FloatArray
+from tracker import INTERVAL_SD, Failure, FloatArray
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Simulated:
 
     def with_sd(self, sd_mm: FloatArray) -> Simulated:
         """With the band of a normal distribution about the curve."""
-        reach = SD_OF_90 * sd_mm
+        reach = INTERVAL_SD * sd_mm
         return replace(self, low=self.central - reach, high=self.central + reach, sd=sd_mm)
 
     def with_shapes(self, setting: DecaySetting, sd_m: FloatArray) -> Simulated:
@@ -74,7 +74,7 @@ class Simulated:
         sd = np.abs(np.outer(coordinate, sd_m))
         low = self.central if self.low is None else self.low
         high = self.central if self.high is None else self.high
-        middle, wide = 0.5 * (low + high), np.hypot(0.5 * (high - low), SD_OF_90 * sd)
+        middle, wide = 0.5 * (low + high), np.hypot(0.5 * (high - low), INTERVAL_SD * sd)
         return replace(self, low=middle - wide, high=middle + wide, shape_sd=sd)
 
 

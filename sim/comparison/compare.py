@@ -30,9 +30,9 @@ from sim.comparison.scores import (
     score_difference,
     score_sum,
 )
-from sim.damping import AIR_DRAG, SD_OF_90
+from sim.damping import AIR_DRAG
 from sim.dynamics import fitted_modes
-from tracker import Failure, FloatArray
+from tracker import INTERVAL_SD, Failure, FloatArray
 
 FitDecay = Callable[[DisplacementSeries], tuple[FittedMode, ...] | Failure]
 
@@ -300,7 +300,7 @@ def model_decays(
                 crps=score_sum(samples, crps, prediction),
                 log_density_gain=score_difference(samples, log_density, first, prediction),
                 crps_gain=score_difference(samples, crps, first, prediction),
-                coverage=float(np.mean(np.abs(missed) <= SD_OF_90 * prediction.sd[valid])),
+                coverage=float(np.mean(np.abs(missed) <= INTERVAL_SD * prediction.sd[valid])),
                 note=" ".join(part for part in (note, run.note) if part),
             )
         )

@@ -27,9 +27,9 @@ from scipy.special import ndtr, ndtri
 from sim.beam import BeamModes
 from sim.comparison.problem import DecaySetting
 from sim.comparison.scores import correlated_square
-from sim.damping import SD_OF_90, DampingModel, GenericDamping, StillAir, WithAirDrag
+from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
 from sim.dynamics import FailedSimulation
-from tracker import Failure, FloatArray
+from tracker import INTERVAL_SD, Failure, FloatArray
 
 
 @dataclass(frozen=True)
@@ -378,8 +378,8 @@ def _drag_decay(
     fit = DragFit(
         drag_coefficient=float(coefficient),
         drag_coefficient_sd=float(coefficient_sd),
-        drag_coefficient_q05=float(coefficient - SD_OF_90 * coefficient_sd),
-        drag_coefficient_q95=float(coefficient + SD_OF_90 * coefficient_sd),
+        drag_coefficient_q05=float(coefficient - INTERVAL_SD * coefficient_sd),
+        drag_coefficient_q95=float(coefficient + INTERVAL_SD * coefficient_sd),
         damping_ratio=float(p[3]),
         damping_ratio_sd=float(sd[3]),
         frequency_hz=float(p[2] / (2.0 * np.pi)),

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import ScoreSum
-from sim.damping import DAMPING_MODELS, SD_OF_90
-from tracker import Column, FloatArray, data_frame, table_row
+from sim.damping import DAMPING_MODELS
+from tracker import INTERVAL_SD, Column, FloatArray, data_frame, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,7 +129,7 @@ class ModelDecay:
     @property
     def predictive_band(self) -> tuple[FloatArray, FloatArray]:
         """5 % and 95 % quantile of a sample."""
-        reach = SD_OF_90 * self.predictive_sd
+        reach = INTERVAL_SD * self.predictive_sd
         return self.simulated - reach, self.simulated + reach
 
 

@@ -8,7 +8,6 @@ from .evidence import LAW_COLUMNS as LAW_COLUMNS
 from .evidence import LEFT_OUT_COLUMNS as LEFT_OUT_COLUMNS
 from .evidence import LawComparison as LawComparison
 from .evidence import compare_laws as compare_laws
-from .law import SD_OF_90 as SD_OF_90
 from .law import DampingLaw as DampingLaw
 from .law import LawFit as LawFit
 from .law import LeftOut as LeftOut

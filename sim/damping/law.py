@@ -20,7 +20,7 @@ import numpy as np
 
 from sim.damping.models import DampingModel, GenericDamping
 from sim.damping.section import BeamSection
-from tracker import FloatArray
+from tracker import INTERVAL_SD, FloatArray
 
 if TYPE_CHECKING:
     from sim.damping.entry import MeasuredDamping
@@ -51,8 +51,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-# Half width of the central 90 % interval of a normal distribution, in standard deviations.
-SD_OF_90 = 1.6448536269514722
 _NOTHING = (float("nan"),) * 3
 
 
@@ -237,7 +235,7 @@ class _Posterior:
 
 def _interval(middle: float, sd: float) -> tuple[float, float, float]:
     """Median, 5 % and 95 % quantile of a damping ratio whose logarithm is normal."""
-    median, low, high = np.exp(middle + SD_OF_90 * sd * np.array([0.0, -1.0, 1.0]))
+    median, low, high = np.exp(middle + INTERVAL_SD * sd * np.array([0.0, -1.0, 1.0]))
     return float(median), float(low), float(high)
 
 

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from sim.damping.entry import MeasuredDamping
-from sim.damping.law import SD_OF_90
 from sim.damping.section import BeamSection
 from sim.damping.thermoelastic import thermoelastic_ratio
 from sim.damping.viscous_air import viscous_air_ratio
-from tracker import Column, FloatArray
+from tracker import INTERVAL_SD, Column, FloatArray
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class DampingParts:
     @property
     def interval_90(self) -> tuple[FloatArray, FloatArray]:
         """5 % and 95 % quantile, each of shape (4, n)."""
-        return self.value - SD_OF_90 * self.sd, self.value + SD_OF_90 * self.sd
+        return self.value - INTERVAL_SD * self.sd, self.value + INTERVAL_SD * self.sd
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per mode and part, with the columns of ``damping_parts.csv``."""

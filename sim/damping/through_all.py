@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.damping.law import SD_OF_90, TUNING, DampingLaw, LawFit, LeftOut, log_data, scatters
-from tracker import FloatArray
+from sim.damping.law import TUNING, DampingLaw, LawFit, LeftOut, log_data, scatters
+from tracker import INTERVAL_SD, FloatArray
 
 if TYPE_CHECKING:
     from sim.damping.entry import MeasuredDamping
@@ -52,7 +52,7 @@ class ThroughAllModes(DampingLaw):
         mean = float(parts.sum())
         variance = np.add.outer(scatters() ** 2, relative_sd[rest] ** 2) @ parts**2 + (scatters() * mean) ** 2
         density = _log_normal(zeta[at], mean, np.sqrt(variance + (relative_sd[at] * zeta[at]) ** 2)) + y[at]
-        reach = SD_OF_90 * float(np.sqrt(np.mean(variance)))
+        reach = INTERVAL_SD * float(np.sqrt(np.mean(variance)))
         log_mean = float(np.logaddexp.reduce(density) - np.log(density.size))
         return LeftOut(log_mean, mean, mean - reach, mean + reach)
 

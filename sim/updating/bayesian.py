@@ -11,7 +11,7 @@ from sim.updating.family import BeamFamily
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import Misfits, SmoothPrior, draw, maximum
-from tracker import FloatArray
+from tracker import INTERVAL_LEVEL, FloatArray
 
 
 @dataclass(frozen=True)
@@ -104,12 +104,12 @@ class BayesianUpdate:
         """Whether the draws represent the posterior: an effective share of at least a tenth."""
         return bool(self.effective_draws > TUNING.fewest_share * self.log_factor_draws.shape[0])
 
-    def frequency_interval_hz(self, level: float = 0.9) -> FloatArray:
+    def frequency_interval_hz(self, level: float = INTERVAL_LEVEL) -> FloatArray:
         """Equal-tailed intervals of the frequencies of modes 1 to c, shape (c, 2)."""
         tail = 0.5 * (1.0 - level)
         return np.asarray(np.quantile(self.predicted_hz, [tail, 1.0 - tail], axis=0).T)
 
-    def factor_interval(self, level: float = 0.9) -> FloatArray:
+    def factor_interval(self, level: float = INTERVAL_LEVEL) -> FloatArray:
         """Equal-tailed intervals of the factors: widths, thicknesses, density, modulus; shape (v, 2)."""
         tail = 0.5 * (1.0 - level)
         return np.asarray(np.exp(np.quantile(self.log_factor_draws, [tail, 1.0 - tail], axis=0).T))

@@ -21,7 +21,7 @@ from sim.updating.bayesian import UndecidedError, whiten
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import SmoothPrior, draw, maximum
-from tracker import FloatArray
+from tracker import INTERVAL_LEVEL, FloatArray
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class ClampPosterior:
     effective_draws: float
     log_odds: float
 
-    def interval(self, level: float = 0.9) -> FloatArray:
+    def interval(self, level: float = INTERVAL_LEVEL) -> FloatArray:
         """Intervals of both stiffnesses, shape (2, 2), in the order of `stiffness`.
 
         A side is open, with the limit 0 or infinity, where the modes hardly exclude stiffnesses beyond the 5 % or 95 %

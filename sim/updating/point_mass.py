@@ -25,7 +25,7 @@ from sim.updating.bayesian import whiten
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import Maximum, SmoothPrior, maximum
-from tracker import FloatArray
+from tracker import INTERVAL_ENDS, INTERVAL_LEVEL, FloatArray
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class PointMassPosterior:
         at = self._log_density(np.array([position_m]), np.array([mass_kg]))
         return float(np.mean(density > at))
 
-    def regions(self, level: float = 0.9) -> tuple[Region, ...]:
+    def regions(self, level: float = INTERVAL_LEVEL) -> tuple[Region, ...]:
         """Smallest set of places with the probability `level`, its connected parts in order of probability."""
         order = np.argsort(-self.weight / self.cell_m, kind="stable")
         inside = np.zeros(order.size, dtype=np.bool_)
@@ -135,7 +135,7 @@ class PointMassPosterior:
             low = float(self.position_m[first] - 0.5 * self.cell_m[first])
             high = float(self.position_m[end - 1] + 0.5 * self.cell_m[end - 1])
             there = mass[(place >= low) & (place <= high)]
-            limits = np.quantile(there, [0.05, 0.95]) if there.size else np.full(2, np.nan)
+            limits = np.quantile(there, INTERVAL_ENDS) if there.size else np.full(2, np.nan)
             share = float(np.sum(self.weight[first:end]))
             found.append(Region(low, high, float(limits[0]), float(limits[1]), share))
         return tuple(sorted(found, key=lambda region: -region.probability))

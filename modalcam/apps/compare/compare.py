@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from modal_id.modes import Combined, between_interval, combine
 from modalcam.common import InputError, natural_key, readable_bytes, real, shown
 from modalcam.pipeline import Workspace
+from tracker import INTERVAL_SD
 
 _MOST_BYTES = 500_000_000
 
@@ -130,10 +131,6 @@ def same_modes(modes: list[RunMode]) -> list[tuple[RunMode, ...]]:
     return sorted(map(tuple, groups), key=lambda group: group[0].frequency_hz)
 
 
-LEVEL = 0.9
-_REACH = float(ndtri(0.5 * (1.0 + LEVEL)))
-
-
 @dataclass(frozen=True)
 class RunValue:
     """Value of one run, combined over its recordings, and its difference from the first run, NaN in that run.
@@ -152,7 +149,7 @@ class RunValue:
     @property
     def interval(self) -> tuple[float, float]:
         """90 % interval of the difference."""
-        reach = _REACH * self.difference_sd
+        reach = INTERVAL_SD * self.difference_sd
         return self.difference - reach, self.difference + reach
 
 
@@ -325,7 +322,7 @@ def _quantity(name: str, runs: Sequence[RunValue], distinct: Sequence[int]) -> Q
         difference, sd = run.value - first.value, float(np.hypot(run.sd, first.sd))
         p_value = float(2.0 * ndtr(-abs(difference) / sd))
         compared.append(RunValue(run.run, run.recordings, run.value, run.sd, difference, sd, p_value))
-    return Quantity(name, tuple(compared), combine(values, sds), *between_interval(values, sds, LEVEL))
+    return Quantity(name, tuple(compared), combine(values, sds), *between_interval(values, sds))
 
 
 def _of_amplitude(group: Sequence[RunMode], mode: ModeInRuns) -> list[str]:

@@ -6,15 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from modal_id import DrivenMotion, Identification, IdentifiedMode, ModeFlag
 from modalcam.common import InputError
 from modalcam.pipeline import MeasuredMode, RecordingResult, RunResult, measured_modes
 from sim.damping import MeasuredDamping, RayleighDamping, rayleigh_to_all
-from tracker import Severity
-
-LEVEL = 0.9
+from tracker import INTERVAL_SD, Severity
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ def _reason(found: Identification, mode: IdentifiedMode | DrivenMotion) -> str:
     wrong = [flag for flag in mode.flags if mode.severity_of(flag) is Severity.WRONG]
     if wrong:
         return f"flagged {', '.join(wrong)}"
-    low, high = mode.damping_interval(LEVEL)
+    low, high = mode.damping_interval()
     return "" if 0.0 <= low < high < np.inf else "without an interval"
 
 
@@ -170,9 +167,9 @@ def _name(mode: IdentifiedMode | DrivenMotion) -> str:
 def _damped(mode: MeasuredMode, usable: list[RecordingResult]) -> DampedMode:
     of = [(name, m) for name, m in _each(usable) if m.number == mode.number and name in mode.recordings]
     if len(of) == 1:
-        low, high = of[0][1].damping_interval(LEVEL)
+        low, high = of[0][1].damping_interval()
     else:
-        reach = float(ndtri(0.5 * (1.0 + LEVEL))) * mode.damping_ratio_sd
+        reach = INTERVAL_SD * mode.damping_ratio_sd
         low, high = max(mode.damping_ratio - reach, 0.0), mode.damping_ratio + reach
     remarks = [f"{name}: {flag}{_small(one, flag)}" for name, one in of for flag in one.flags]
     if mode.damping.disagree:

@@ -19,7 +19,7 @@ from modalcam.apps.material.run import departures
 from modalcam.apps.material.specimen import LAYERED, BarMode, Quantity, Specimen
 from modalcam.common import InputError
 from sim.beam import BeamProperties
-from tracker import FloatArray
+from tracker import INTERVAL_ENDS, FloatArray
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class _Draws:
         draws = scale * drawn[1:]
         sources = tuple(sources)
         known = self.without_sd.isdisjoint(sources)
-        low, high = np.quantile(draws, [0.05, 0.95]) if known else (np.nan, np.nan)
+        low, high = np.quantile(draws, INTERVAL_ENDS) if known else (np.nan, np.nan)
         shares = {source: _share(draws, self.of[source][1:]) for source in sources}
         largest = max(shares, key=shares.__getitem__)
         hz = one.frequency_hz

@@ -21,7 +21,7 @@ from sim import reference as printed
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, ModelDecay
 from sim.updating import BayesianUpdate, PaperUpdate, Updating
-from tracker import Failure, FloatArray
+from tracker import INTERVAL_ENDS, INTERVAL_LEVEL, Failure, FloatArray
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Quantity:
         return self._level_of(self.truth)
 
     def _level_of(self, value: float) -> float:
-        for level, (low, high) in ((0.9, self.interval_90), (0.99, self.interval_99)):
+        for level, (low, high) in ((INTERVAL_LEVEL, self.interval_90), (0.99, self.interval_99)):
             if low <= value <= high:
                 return level
         return 1.0
@@ -198,8 +198,8 @@ def _quantity(
     given = (number, scale * value, scale * rounding, scale * truth)
     if draws is None:
         return Quantity(*given)
-    # As the intervals of an identified mode.
-    low_99, low_90, median, high_90, high_99 = scale * np.quantile(draws, (0.005, 0.05, 0.5, 0.95, 0.995))
+    low, high = INTERVAL_ENDS
+    low_99, low_90, median, high_90, high_99 = scale * np.quantile(draws, (0.005, low, 0.5, high, 0.995))
     return Quantity(*given, median, scale * float(np.std(draws)), (low_90, high_90), (low_99, high_99))
 
 

@@ -162,7 +162,7 @@ def shown_decay(
         ()
         if identified is None
         else tuple(
-            FoundMode(m.frequency_hz, m.damping_ratio, m.damping_interval(0.9), m.target, m.flags)
+            FoundMode(m.frequency_hz, m.damping_ratio, m.damping_interval(), m.target, m.flags)
             for m in identified.modes
         )
     )
@@ -278,7 +278,6 @@ def thinned(x: FloatArray, y: FloatArray, most: int = _MOST_POINTS) -> tuple[tup
 
 # Damping is not known before the run: a steel strip, a bolted joint, a lossy one.
 USUAL_DAMPING_RATIOS = (0.001, 0.003, 0.01)
-_LEVEL = 0.9
 
 
 @dataclass(frozen=True)
@@ -414,6 +413,6 @@ def _expected(
     mode = found.target if isinstance(found, Identification) else None
     if mode is None:
         return Failure("the noise hides the decay; follow a point that moves more or has more contrast")
-    slow, fast = mode.frequency_interval_hz(_LEVEL)
-    low, high = mode.damping_interval(_LEVEL)
+    slow, fast = mode.frequency_interval_hz()
+    low, high = mode.damping_interval()
     return Expected(damping_ratio, 0.5 * (fast - slow), 0.5 * (high - low))

@@ -11,13 +11,13 @@ from scipy.ndimage import gaussian_filter
 from modal_id import IdentifiedMode, ModeFlag
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style import FIT, INK, MEASURED, Style, dots, few_ticks, fixed
-from tracker import FloatArray
+from tracker import INTERVAL_LEVEL, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LEVELS = (0.9, 0.5)
+_LEVELS = (INTERVAL_LEVEL, 0.5)
 _BINS = 48
 _DOTS = 300
 

@@ -10,7 +10,7 @@ from modalcam.pipeline import BeamResult, RunResult
 from modalcam.report.signals import best_modes
 from modalcam.report.style import significant, superscript
 from sim.updating import Updating, variable_names
-from tracker import FloatArray
+from tracker import INTERVAL_ENDS, FloatArray
 
 _UNIFORM = ("width", "thickness", "density", "modulus")
 # Exponents below this are zero.
@@ -47,9 +47,9 @@ def _updated_row(number: int, updated: Updating) -> dict[str, Any]:
         "paper": updated.paper.updated_hz,
         "uniform": updated.uniform.updated_hz,
     }
-    posterior = dict(zip(("low", "posterior", "high"), np.quantile(draws, (0.05, 0.5, 0.95)), strict=True))
+    low, median, high = np.quantile(draws, (INTERVAL_ENDS[0], 0.5, INTERVAL_ENDS[1]))
     values = {name: values[at][0] if at.any() else np.nan for name, values in columns.items()}
-    return values | posterior | {"posterior_sd": np.std(draws)}
+    return values | {"low": low, "posterior": median, "high": high, "posterior_sd": np.std(draws)}
 
 
 def updating_numbers(beam: BeamResult) -> dict[str, Any]:
