@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from modal_id import IdentifiedMode, ModeFlag
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style import FIT, INK, MEASURED, Style, dots, few_ticks, fixed
-from tracker import INTERVAL_LEVEL, FloatArray
+from tracker import INTERVAL_ENDS, INTERVAL_LEVEL, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,7 @@ def _marginal(axes: Axes, values: FloatArray, *, horizontal: bool) -> None:
     counts, edges = np.histogram(values, bins=40, range=_padded(values))
     style: Style = {"orientation": "horizontal" if horizontal else "vertical", "fill": True}
     axes.stairs(counts, edges, facecolor=FIT, alpha=0.25, edgecolor=FIT, **style)
-    for quantile, width in ((0.05, 0.8), (0.5, 1.4), (0.95, 0.8)):
+    for quantile, width in ((INTERVAL_ENDS[0], 0.8), (0.5, 1.4), (INTERVAL_ENDS[1], 0.8)):
         line = axes.axhline if horizontal else axes.axvline
         line(float(np.quantile(values, quantile)), color=INK, linewidth=width)
     axes.grid(visible=False)
