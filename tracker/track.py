@@ -159,7 +159,7 @@ def assemble(
     )
     if isinstance(times, Failure):
         return FailedTracking(times.reason, recording, first_frame=first_frame)
-    values, marks = rows.results.columns(order)
+    values, marks, correlation = rows.results.columns(order)
     repeated = repeated_frames(np.array(rows.changes)[order], values[0], values[1])
     if times.used is not None:
         marks[~times.used] |= np.uint32(flags.OTHER_RATE.value)
@@ -211,7 +211,7 @@ def assemble(
         plane=scaled.plane,
         readout_s=settings.readout_s,
         kind=markers.kind,
-        correlation_xy=values[4] if len(values) > 4 else None,
+        correlation_xy=correlation,
         ends_sd_mm=markers.ends_sd_mm,
         fixed_points_px=markers.fixed_points_px,
     )

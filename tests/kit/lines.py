@@ -62,5 +62,5 @@ def followed(scene: LineScene, frames, *, calibration=64, times=None, **options)
         np.hypot(out[:, 2], out[:, 3]),
         out[:, 0],
         np.stack([r.marks for r in results]),
-        out[:, 4],
+        np.stack([r.correlation for r in results]),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Iterator
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,17 +93,20 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
     )
 
 
-def test_rows_are_returned_in_the_requested_order() -> None:
+@pytest.mark.parametrize("correlated", [False, True])
+def test_rows_are_returned_in_the_requested_order(correlated) -> None:
     """Against the stored rows, across the boundary of two chunks."""
     rng = np.random.default_rng(5)
     n = fits.TUNING.chunk_rows + 7
     values = rng.normal(size=(n, 4, 3))
     marks = rng.integers(0, 100, (n, 3)).astype(np.uint32)
+    correlations = rng.uniform(-1.0, 1.0, (n, 3)) if correlated else [None] * n
     store = RowStore(3)
-    for row, mark in zip(values, marks, strict=True):
-        store.append(row, mark)
+    for out, mark, one in zip(values, marks, correlations, strict=True):
+        store.append(SimpleNamespace(out=out, marks=mark, correlation=one))
     order = rng.permutation(n)
-    stored, flags = store.columns(order)
+    stored, flags, correlation = store.columns(order)
     np.testing.assert_array_equal(stored, np.moveaxis(values[order], 1, 0))
     np.testing.assert_array_equal(flags, marks[order])
+    np.testing.assert_array_equal(correlation, correlations[order] if correlated else None)
     assert RowStore(3).columns(np.arange(0))[1].shape == (0, 3)

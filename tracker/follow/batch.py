@@ -93,6 +93,10 @@ class FrameArrays(NamedTuple):
     marks: FlagArray
     out: FloatArray
 
+    @property
+    def correlation(self) -> None:
+        """None: a template gives both coordinates, with errors that count as independent."""
+
 
 def frame_arrays(markers: int) -> FrameArrays:
     """Empty arrays for one frame."""

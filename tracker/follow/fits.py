@@ -12,6 +12,7 @@ import numpy as np
 from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.batch import LIMITS, LastSeen, MarkerArrays
+from tracker.markers import FrameResult
 from tracker.register import Camera, MarkerModel, acceptable, contrast_state, kernel, register
 from tracker.template import BlurBank, Template, is_blur, seen_from_marker
 
@@ -143,21 +144,27 @@ class RowStore:
     def __init__(self, markers: int) -> None:
         self._markers = markers
         self._values: list[FloatArray] = []
+        self._correlation: list[FloatArray] = []
         self._flags: list[FlagArray] = []
         self._count = 0
 
-    def append(self, values: FloatArray, flags: FlagArray) -> None:
-        """Copy the result of a frame: q values of m markers, x, y and their sd in px first, and flags, shape (m,)."""
+    def append(self, result: FrameResult) -> None:
+        """Copy the result of a frame."""
         row = self._count % TUNING.chunk_rows
         if row == 0:
-            self._values.append(np.empty((len(values), TUNING.chunk_rows, self._markers)))
+            self._values.append(np.empty((4, TUNING.chunk_rows, self._markers)))
+            if result.correlation is not None:
+                self._correlation.append(np.empty((TUNING.chunk_rows, self._markers)))
             self._flags.append(np.empty((TUNING.chunk_rows, self._markers), dtype=np.uint32))
-        self._values[-1][:, row] = values
-        self._flags[-1][row] = flags
+        self._values[-1][:, row] = result.out
+        self._flags[-1][row] = result.marks
+        if result.correlation is not None:
+            self._correlation[-1][row] = result.correlation
         self._count += 1
 
-    def columns(self, order: IntArray) -> tuple[FloatArray, FlagArray]:
-        """Values of shape (q, n, m) and flags of shape (n, m), with the rows in the given order."""
+    def columns(self, order: IntArray) -> tuple[FloatArray, FlagArray, FloatArray | None]:
+        """`FrameResult.out`, shape (4, n, m), flags and correlations, (n, m), with the rows in the given order."""
         no_flags = np.empty((0, self._markers), dtype=np.uint32)
         values = np.concatenate(self._values or [np.empty((4, 0, self._markers))], axis=1)[:, order]
-        return values, np.concatenate([no_flags, *self._flags])[order]
+        correlation = np.concatenate(self._correlation)[order] if self._correlation else None
+        return values, np.concatenate([no_flags, *self._flags])[order], correlation

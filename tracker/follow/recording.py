@@ -295,11 +295,11 @@ def follow_recording(
         rows.changes.append(change)
         np.bitwise_or(result.marks, mark, out=result.marks)
         if waiting is not None:
-            rows.results.append(waiting.out, waiting.marks)
+            rows.results.append(waiting)
         waiting = result
         if progress is not None:
             progress(len(rows.pts), info.frames_declared)
     follower.finish()
     if waiting is not None:
-        rows.results.append(waiting.out, waiting.marks)
+        rows.results.append(waiting)
     return rows

@@ -243,10 +243,11 @@ def matched_offsets(
 
 
 class LineFrame(NamedTuple):
-    """Result of a frame: flags (m,), and x, y, their sd in px and their correlation (5, m)."""
+    """Result of a frame; see `tracker.markers.FrameResult`."""
 
     marks: FlagArray
     out: FloatArray
+    correlation: FloatArray
 
 
 class Fit(NamedTuple):
@@ -294,7 +295,7 @@ class LineFollower:
         self.fit = None
         self._advance(None)
         marks = np.full(self.markers, flag | flags.NOT_FOUND.value, dtype=np.uint32)
-        return LineFrame(marks, np.full((5, self.markers), np.nan))
+        return LineFrame(marks, np.full((4, self.markers), np.nan), np.full(self.markers, np.nan))
 
     def finish(self) -> None:
         """Nothing: the result of each frame is final."""
@@ -432,15 +433,14 @@ class LineFollower:
         poor = chi2 > limit
         # Chi-square of few pixels scatters: its own value is used only where it is clearly large.
         enlarged = np.sqrt(np.where(poor, chi2, self.model.typical_chi2))
-        out, marks = np.empty((5, m)), np.zeros(m, dtype=np.uint32)
+        out, marks = np.empty((4, m)), np.zeros(m, dtype=np.uint32)
         out[:2] = curve.points.T + rest * normals
-        out[2:4] = np.abs(normals) * (results[:, kernel.SD] * enlarged)
-        # Only the component along the normal is measured: the errors of x and y are one and the same.
-        out[4] = np.sign(normals[0] * normals[1])
+        out[2:] = np.abs(normals) * (results[:, kernel.SD] * enlarged)
         out[:, ~good] = np.nan
         marks[~good] = flags.NOT_FOUND.value
         marks[good & (results[:, kernel.SEEN] < ACCEPTANCE.edge_share)] |= flags.EDGE.value
         marks[good & (results[:, kernel.SATURATED] > ACCEPTANCE.saturated_share)] |= flags.SATURATED.value
         marks[good & (fit.stations.blur > ACCEPTANCE.blurred_px)] |= flags.BLURRED.value
         marks[good & poor] |= flags.POOR_FIT.value
-        return LineFrame(marks, out)
+        # Only the component along the normal is measured: the errors of x and y are one and the same.
+        return LineFrame(marks, out, np.where(good, np.sign(normals[0] * normals[1]), np.nan))

@@ -134,15 +134,19 @@ class NothingFound(Failure):
 
 
 class FrameResult(Protocol):
-    """Result of one frame for m markers: flags (m,); x, y, their sd in px, (4, m), and their correlation, (5, m)."""
+    """Result of one frame for m markers."""
 
     @property
     def marks(self) -> FlagArray:
-        """Bits of `tracker.flags`."""
+        """Bits of `tracker.flags`, shape (m,)."""
 
     @property
     def out(self) -> FloatArray:
-        """Positions; NaN where missing."""
+        """x, y and their sd in px, shape (4, m); NaN where missing."""
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Of the errors of x and y, shape (m,); None, in each frame, for a kind whose errors are independent."""
 
 
 class FrameFollower(Protocol):
