@@ -12,7 +12,7 @@ from modal_id.fit import ModalFit
 from modal_id.modes import FittedDecay
 from modal_id.pieces.fit_pieces import Piece, PieceFitter
 from modal_id.record import Segment
-from modal_id.segments import RecordParts, holds_a_decay, keeps_amplitude, record_start
+from modal_id.segments import RecordParts, holds_a_decay, record_start, strongest_is_driven
 from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
 from tracker import ComplexArray, DisplacementSeries, FloatArray
 
@@ -139,7 +139,7 @@ def _with_drives(pieces: tuple[Piece, ...]) -> list[Piece]:
         model = None if follows.fit is None else follows.fit.model
         if one.fit is None or one.fit.onset.source == "user":
             continue
-        if keeps_amplitude(one.fit.model, model):
+        if strongest_is_driven(one.fit.model, model):
             note = "The motion is steady until it changes."
             found[k] = replace(one, segment=replace(one.segment, kind="driven", note=note))
     return found

@@ -258,7 +258,7 @@ class Channel:
 #: Columns beside those of the modes: the input, its second derivative (the modes above the band), the polynomial.
 FIXED = 2 + TUNING.drift_degree + 1
 #: Columns of a mode: real and imaginary parts of the response to the input and of the free decay.
-OF_MODE = 4
+PER_MODE = 4
 
 
 @dataclass(frozen=True)
@@ -390,19 +390,19 @@ class Samples:
         columns[:, 0], columns[:, 1] = slope.at_samples(), slope.curvature()
         for index, pole in enumerate(poles):
             driven = slope.response(pole)
-            columns[:, FIXED + OF_MODE * index] = driven.real
-            columns[:, FIXED + OF_MODE * index + 1] = driven.imag
+            columns[:, FIXED + PER_MODE * index] = driven.real
+            columns[:, FIXED + PER_MODE * index + 1] = driven.imag
         return self.rows(columns @ coefficients)
 
     def in_time(self, poles: ComplexArray) -> FloatArray:
-        """Columns of the fit, shape (n, FIXED + OF_MODE m): input, its second derivative, drift, four of each mode."""
+        """Columns of the fit, shape (n, FIXED + PER_MODE m): input, its second derivative, drift, four of each mode."""
         unit = 2.0 * (self.time_s - self.time_s[0]) / self.span_s - 1.0
         values = self.drive.at_samples()
         found = [values[:, None], self.drive.curvature()[:, None], legvander(unit, TUNING.drift_degree)]
         return np.column_stack([*found, *(self.of_mode(pole) for pole in poles)])
 
     def of_mode(self, pole: complex) -> FloatArray:
-        """The four columns of a mode: parts of the response to the input, and of the free decay; shape (n, OF_MODE)."""
+        """Columns of a mode: parts of the response to the input, and of the free decay; shape (n, PER_MODE)."""
         free = mode_functions(self.time_s - self.time_s[0], np.array([pole]))[:, 0]
         driven = self.drive.response(pole)
         return np.column_stack([driven.real, driven.imag, free.real, free.imag])
@@ -412,7 +412,7 @@ class Samples:
         return self.rows(self.in_time(poles))
 
     def slopes(self, poles: ComplexArray) -> FloatArray:
-        """Derivatives of the modes' four columns with respect to Re lambda, as `rows`; shape (2 b, OF_MODE m)."""
+        """Derivatives of the modes' four columns with respect to Re lambda, as `rows`; shape (2 b, PER_MODE m)."""
         functions = mode_functions(self.time_s - self.time_s[0], poles)
         elapsed = self.time_s - self.time_s[0]
         found = [np.empty((elapsed.size, 0))]
@@ -425,9 +425,9 @@ class Samples:
 def amplitudes(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Complex factors, shape (m, k), of the response to the input and of the free decay of each mode.
 
-    From coefficients of shape (FIXED + OF_MODE m, k): output k moves as ``Re(factor function)``.
+    From coefficients of shape (FIXED + PER_MODE m, k): output k moves as ``Re(factor function)``.
     """
-    own = coefficients[FIXED:].reshape(-1, OF_MODE, coefficients.shape[1])
+    own = coefficients[FIXED:].reshape(-1, PER_MODE, coefficients.shape[1])
     return own[:, 0] - 1j * own[:, 1], own[:, 2] - 1j * own[:, 3]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.response.candidates import candidates, drives
-from modal_id.response.columns import OF_MODE, Samples
+from modal_id.response.columns import PER_MODE, Samples
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
@@ -104,7 +104,7 @@ def most_iterated_s(samples: Samples) -> float:
 
 def criterion(samples: Samples) -> float:
     """Gain of log likelihood from which a mode is accepted: the Bayesian information criterion."""
-    return float(0.5 * (2 + OF_MODE * samples.values.shape[1]) * np.log(2 * samples.frequency_hz.size))
+    return float(0.5 * (2 + PER_MODE * samples.values.shape[1]) * np.log(2 * samples.frequency_hz.size))
 
 
 def _with_mode(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 
-from modal_id.response.columns import FIXED, OF_MODE, Channel, Samples
+from modal_id.response.columns import FIXED, PER_MODE, Channel, Samples
 from modal_id.response.known_input import (
     Weighted,
     criterion,
@@ -253,7 +253,7 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     columns = samples.bins(samples.in_time(poles))
     is_driven = np.zeros(columns.shape[1], dtype=bool)
     is_driven[:2] = True
-    is_driven[FIXED:] = np.arange(columns.shape[1] - FIXED) % OF_MODE < 2
+    is_driven[FIXED:] = np.arange(columns.shape[1] - FIXED) % PER_MODE < 2
     both = (columns[:, is_driven], columns[:, ~is_driven], samples.bins(samples.values))
     driven, free, outputs = (one / np.linalg.norm(one, axis=0) for one in both)
     products = np.zeros((n + 1, driven.shape[1], free.shape[1] + outputs.shape[1]), dtype=complex)

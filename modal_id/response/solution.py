@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from modal_id.response.columns import FIXED, OF_MODE, Samples, amplitudes, spline_gain, transfer
+from modal_id.response.columns import FIXED, PER_MODE, Samples, amplitudes, spline_gain, transfer
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import Noise
 from tracker import INTERVAL_ENDS, BoolArray, ComplexArray, FloatArray
@@ -55,7 +55,7 @@ class ResponseFit:
     likely : Samples
         With the most likely input, given outputs and measured input.
     poles : complex array, shape (m,)
-    coefficients : array, shape (FIXED + OF_MODE m, k)
+    coefficients : array, shape (FIXED + PER_MODE m, k)
     residual : array, shape (2 b, k)
         As `Samples.rows`.
     weights : array, shape (b, k)
@@ -260,7 +260,7 @@ def pole_slopes(slopes: FloatArray, coefficients: FloatArray) -> FloatArray:
     m, k = driven.shape
     found = np.empty((slopes.shape[0], 2 * m, k))
     for index in range(m):
-        real, imag, free_real, free_imag = slopes[:, OF_MODE * index : OF_MODE * (index + 1)].T
+        real, imag, free_real, free_imag = slopes[:, PER_MODE * index : PER_MODE * (index + 1)].T
         for place, turn in enumerate((1.0, 1j)):
             c, d = turn * driven[index], turn * free[index]
             found[:, 2 * index + place] = (
@@ -276,7 +276,7 @@ def significant(found: ResponseFit, penalty: float) -> BoolArray:
     """Modes without which chi-square would be larger by more than the criterion asks for; shape (m,)."""
     kept = np.ones(found.poles.size, dtype=bool)
     for index in range(kept.size):
-        own = slice(FIXED + OF_MODE * index, FIXED + OF_MODE * (index + 1))
+        own = slice(FIXED + PER_MODE * index, FIXED + PER_MODE * (index + 1))
         total = 0.0
         for out in range(found.coefficients.shape[1]):
             values = found.coefficients[own, out]

@@ -211,7 +211,7 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
     return data, fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start), 0
 
 
-def keeps_amplitude(model: ModalFit, follows: ModalFit | None) -> bool:
+def strongest_is_driven(model: ModalFit, follows: ModalFit | None) -> bool:
     """Whether the strongest mode of a fit is rather driven than free, before another motion, where that has a fit."""
     pole, index = complex(model.fit.poles[model.strongest]), model.strongest
     later = None
