@@ -6,5 +6,5 @@ from .recording import FollowedFrames as FollowedFrames
 from .recording import Progress as Progress
 from .recording import StripKeeper as StripKeeper
 from .recording import follow_recording as follow_recording
-from .recording import image_change as image_change
-from .recording import repeated_frames as repeated_frames
+from .repeats import image_change as image_change
+from .repeats import repeated_frames as repeated_frames
