@@ -112,6 +112,16 @@ def quoted_note(flag: ModeFlag, notes: Iterable[str]) -> str:
     return next((note for note in notes if start is not None and note.startswith(start)), "")
 
 
+def alias_note(rate_hz: float, hz: float, count: int = 1) -> str:
+    """The note that at this sampling rate the next `count` of the frequencies above fit as well as `hz`."""
+    others = (rate_hz - hz, rate_hz + hz, 2.0 * rate_hz - hz)[:count]
+    listed = ", ".join([f"{other:.4g}" for other in others] + ["…"] * (count > 1))
+    return (
+        f"At a sampling rate of {rate_hz:.4g} Hz, a vibration at {listed} Hz cannot be distinguished from one at "
+        f"{hz:.4g} Hz."
+    )
+
+
 _USUAL = {
     ModeFlag.DRIVEN: Severity.WRONG,
     ModeFlag.MAY_BE_DRIVEN: Severity.WRONG,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from modal_id.data.samples import runs
-from modal_id.flags import ModeFlag
+from modal_id.flags import ModeFlag, alias_note
 from modal_id.results import Identification, IdentifiedMode
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray, robust_sd
 
@@ -249,9 +249,7 @@ def in_all_rows(
 
 def _flagged(mode: IdentifiedMode, rate_hz: float) -> IdentifiedMode:
     """The mode with the flag of an alias, and the frequencies that fit as well."""
-    flag, hz = ModeFlag.ALIASED_POSSIBLE, mode.frequency_hz
-    others = f"{rate_hz - hz:.4g}, {rate_hz + hz:.4g}, {2.0 * rate_hz - hz:.4g}, … Hz"
-    note = f"Sampled at {rate_hz:.4g} Hz, a vibration at {others} cannot be distinguished from one at {hz:.4g} Hz."
+    flag, note = ModeFlag.ALIASED_POSSIBLE, alias_note(rate_hz, mode.frequency_hz, 3)
     if flag.name in mode.flags:
         return replace(mode, notes=(*mode.notes, note))
     return mode.with_flags([flag], note)

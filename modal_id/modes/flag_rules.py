@@ -9,7 +9,7 @@ import numpy as np
 from modal_id.curve import explains
 from modal_id.data import beyond_limit
 from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
-from modal_id.flags import ModeFlag
+from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.numbering import possible_aliases
 from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mode
 from modal_id.results import AmplitudeDependence
@@ -145,10 +145,7 @@ def mode_flags(
     }
     notes = []
     if frequency > 0.9 * nyquist:
-        notes.append(
-            f"At a sampling rate of {2.0 * nyquist:.4g} Hz, a vibration at {2.0 * nyquist - frequency:.4g} Hz cannot "
-            f"be distinguished from one at {frequency:.4g} Hz."
-        )
+        notes.append(alias_note(2.0 * nyquist, frequency))
     notes += [
         f"At a sampling rate of {2.0 * nyquist:.4g} Hz, mode {other}, which theory predicts at "
         f"{settings.expected_frequencies_hz[other - 1]:.4g} Hz, would appear near {frequency:.4g} Hz."
