@@ -1,4 +1,4 @@
-"""Result of the identification of one decay: modes with shapes, numbers and flags, and the fitted motion."""
+"""Result of the identification of one decay: modes with shapes, numbers and flags, the fitted motion in all rows."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.data import FitData, Prepared, listed
 from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
-from modal_id.flags import ModeFlag
+from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes import (
     MANY_OUTLIERS,
     Conversion,
@@ -37,7 +38,7 @@ from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sa
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
-from tracker import BoolArray, DisplacementSeries, FloatArray
+from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
 
 
 @dataclass(frozen=True)
@@ -373,3 +374,39 @@ def _notes_of_fit(
     if missing:
         notes.append(f"{missing} samples of the decay are missing; they were left out, not interpolated.")
     return tuple(notes)
+
+
+def in_all_rows(
+    found: Identification | Failure,
+    series: DisplacementSeries,
+    rows: NDArray[np.intp],
+    held: int,
+) -> Identification | Failure:
+    """What was found from `rows` in terms of the whole series, its modes with the other possible frequencies."""
+    rate_hz = 1.0 / float(np.median(np.diff(series.time_s)))
+    words = (
+        f"Only one row in {held} carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
+        "it or are empty): frequencies are the lowest that fit, below half that rate."
+    )
+    if isinstance(found, Failure):
+        return replace(found, reason=f"{found.reason} {words}")
+    size = series.values.shape
+    fitted, baseline, used = np.full(size, np.nan), np.full(size, np.nan), np.zeros(size, dtype=bool)
+    fitted[rows], baseline[rows], used[rows] = found.fitted, found.baseline, found.used
+    return replace(
+        found,
+        series=series,
+        fitted=fitted,
+        baseline=baseline,
+        used=used,
+        modes=tuple(_with_aliases(mode, rate_hz / held) for mode in found.modes),
+        notes=(*found.notes, words),
+    )
+
+
+def _with_aliases(mode: IdentifiedMode, rate_hz: float) -> IdentifiedMode:
+    """The mode with the flag of an alias, and the frequencies that fit as well."""
+    flag, note = ModeFlag.ALIASED_POSSIBLE, alias_note(rate_hz, mode.frequency_hz, 3)
+    if flag.name in mode.flags:
+        return replace(mode, notes=(*mode.notes, note))
+    return mode.with_flags([flag], note)

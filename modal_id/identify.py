@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.ambient import identify_ambient
-from modal_id.assemble import assemble, assemble_driven, converted
+from modal_id.assemble import assemble, assemble_driven, converted, in_all_rows
 from modal_id.data import (
     MIN_SAMPLES,
     Prepared,
-    in_all_rows,
     of_rows,
     prepare,
     project,

@@ -12,7 +12,6 @@ from .prepare import longest_without_pause as longest_without_pause
 from .prepare import prepare as prepare
 from .prepare import with_base as with_base
 from .projection import project as project
-from .repeats import in_all_rows as in_all_rows
 from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
 from .repeats import sampled_rows as sampled_rows

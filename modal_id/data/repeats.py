@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from modal_id.data.samples import runs
-from modal_id.flags import ModeFlag, alias_note
-from modal_id.results import Identification, IdentifiedMode
-from tracker import BoolArray, DisplacementSeries, Failure, FloatArray, robust_sd
+from tracker import BoolArray, DisplacementSeries, FloatArray, robust_sd
 
 
 @dataclass(frozen=True)
@@ -217,39 +215,3 @@ def of_rows(series: DisplacementSeries, rows: NDArray[np.intp]) -> DisplacementS
         base_sd=base_sd,
         known_input=None,
     )
-
-
-def in_all_rows(
-    found: Identification | Failure,
-    series: DisplacementSeries,
-    rows: NDArray[np.intp],
-    held: int,
-) -> Identification | Failure:
-    """What was found from `rows` in terms of the whole series, its modes with the other possible frequencies."""
-    rate_hz = 1.0 / float(np.median(np.diff(series.time_s)))
-    words = (
-        f"Only one row in {held} carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
-        "it or are empty): frequencies are the lowest that fit, below half that rate."
-    )
-    if isinstance(found, Failure):
-        return replace(found, reason=f"{found.reason} {words}")
-    size = series.values.shape
-    fitted, baseline, used = np.full(size, np.nan), np.full(size, np.nan), np.zeros(size, dtype=bool)
-    fitted[rows], baseline[rows], used[rows] = found.fitted, found.baseline, found.used
-    return replace(
-        found,
-        series=series,
-        fitted=fitted,
-        baseline=baseline,
-        used=used,
-        modes=tuple(_flagged(mode, rate_hz / held) for mode in found.modes),
-        notes=(*found.notes, words),
-    )
-
-
-def _flagged(mode: IdentifiedMode, rate_hz: float) -> IdentifiedMode:
-    """The mode with the flag of an alias, and the frequencies that fit as well."""
-    flag, note = ModeFlag.ALIASED_POSSIBLE, alias_note(rate_hz, mode.frequency_hz, 3)
-    if flag.name in mode.flags:
-        return replace(mode, notes=(*mode.notes, note))
-    return mode.with_flags([flag], note)
