@@ -58,6 +58,27 @@ class Tuning:
     even: float = 0.9
     #: [samples] fewest samples that show it
     least_samples: int = 12
+    #: [steps] fewest that are judged, and with which others are compared
+    #: convention: The median of fewer is not typical of the motion.
+    least_steps: int = 8
+    #: [1] passes in which the linear prediction leaves out what it does not predict
+    #: convention: Limits the computing time.
+    passes: int = 8
+    #: [1] windows that determine one coefficient of the prediction, at least
+    #: convention: Fewer would be fitted, and the noise be found too small.
+    windows_each: int = 4
+    #: [sd] error of the prediction from which a window is left out
+    #: statistics: Noise alone reaches it in one window of 16 000.
+    unpredicted: float = 4.0
+    #: [1] relative difference below which two values are equal
+    #: convention: Far above the rounding of sums in double precision.
+    equal: float = 1e-9
+    #: [1] one in this many of the smallest differences counts for the resolution
+    #: convention: Two independent values may be close by chance.
+    smallest_in: int = 100
+    #: [1] range of the time steps, over their median, above which rows are not even
+    #: convention: A gap is a whole step longer.
+    uneven: float = 0.5
 
 
 TUNING = Tuning()
@@ -81,7 +102,7 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     repeated = np.zeros(n, dtype=bool)
     steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
     finite = np.all(np.isfinite(steps), axis=1)
-    if np.count_nonzero(finite) < 8 or not np.all(np.any(np.isfinite(bends), axis=0)):
+    if np.count_nonzero(finite) < TUNING.least_steps or not np.all(np.any(np.isfinite(bends), axis=0)):
         return repeated
     typical = _typical(steps[finite])
     small = np.minimum(TUNING.small_bend * np.nanmedian(bends, axis=0), TUNING.small_noise * _noise(values))
@@ -144,8 +165,8 @@ def _noise(values: FloatArray) -> FloatArray:
         windows = np.lib.stride_tricks.sliding_window_view(column, TUNING.order + 1)
         windows = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
         windows = windows[np.all(np.isfinite(windows), axis=1)]
-        for _ in range(8):
-            if windows.shape[0] <= 4 * TUNING.order:
+        for _ in range(TUNING.passes):
+            if windows.shape[0] <= TUNING.windows_each * TUNING.order:
                 break
             gram = windows.T @ windows
             past = gram[:-1, :-1]
@@ -154,7 +175,7 @@ def _noise(values: FloatArray) -> FloatArray:
             error = windows[:, -1] - windows[:, :-1] @ weights
             spread = robust_sd(error)
             result[channel] = spread / np.sqrt(1.0 + weights @ weights)
-            near = np.abs(error) <= 4.0 * spread
+            near = np.abs(error) <= TUNING.unpredicted * spread
             if np.all(near):
                 break
             windows = windows[near]
@@ -164,7 +185,7 @@ def _noise(values: FloatArray) -> FloatArray:
 def _log_chance(values: FloatArray, around: FloatArray) -> float:
     """Logarithm of the probability that values as small as these occur, judged by those around them."""
     around = around[np.isfinite(around)]
-    if around.size < 8:
+    if around.size < TUNING.least_steps:
         return 0.0
     rank = (1.0 + np.searchsorted(np.sort(around), values, side="right")) / (around.size + 1.0)
     share = TUNING.below_median * values / max(float(np.median(around)), 1e-300)
@@ -172,13 +193,13 @@ def _log_chance(values: FloatArray, around: FloatArray) -> float:
 
 
 def _resolution(values: FloatArray) -> FloatArray:
-    """Smallest difference between two different values of each channel, relative differences below 1e-9 ignored."""
+    """Smallest difference between two different values of each channel: the median of the smallest ones."""
     smallest = np.full(values.shape[1], np.inf)
     for channel, column in enumerate(values.T):
         apart = np.diff(np.unique(column[np.isfinite(column)]))
-        apart = apart[apart > 1e-9 * np.nanmax(np.abs(column))]
-        # The median of the smallest hundredth: two independent values may be close by chance.
-        smallest[channel] = np.median(np.sort(apart)[: max(apart.size // 100, 1)]) if apart.size else np.inf
+        apart = apart[apart > TUNING.equal * np.nanmax(np.abs(column))]
+        few = np.sort(apart)[: max(apart.size // TUNING.smallest_in, 1)]
+        smallest[channel] = np.median(few) if few.size else np.inf
     return smallest
 
 
@@ -188,7 +209,7 @@ def sampled_rows(series: DisplacementSeries) -> tuple[NDArray[np.intp], int] | N
     if seen.size < TUNING.least_samples:
         return None
     steps = np.diff(series.time_s)
-    if np.ptp(steps) > 0.5 * float(np.median(steps)):
+    if np.ptp(steps) > TUNING.uneven * float(np.median(steps)):
         return None
     values = series.values[seen]
     values = values[:, np.any(np.isfinite(values), axis=0)]

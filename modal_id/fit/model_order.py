@@ -82,6 +82,15 @@ class Tuning:
     least_damped: float = 0.05
     #: [1] largest number of strongly damped modes tried beside others
     damped_trials: int = 3
+    #: [1] overtone that may be the highest line of a wave whose tops are missing on one side
+    #: physics: Only such a wave has even overtones.
+    even_overtone: int = 2
+    #: [1] the same of a wave whose tops are missing on both sides
+    #: physics: It has odd overtones only.
+    odd_overtone: int = 3
+    #: [1] the highest overtone that is tried
+    #: convention: Higher ones are weaker.
+    highest_overtone: int = 5
 
 
 TUNING = Tuning()
@@ -317,7 +326,9 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     start = solve_linear(Problem(data, line), no_columns(data.time_s))
     excluded: list[Band] = []
     # Where samples are missing, such as the tops of a clipped wave, the highest line of a spectrum may be an overtone.
-    overtones = (2, 3, 5) if np.any(data.weights == 0.0) else ()
+    overtones: tuple[int, ...] = ()
+    if np.any(data.weights == 0.0):
+        overtones = (TUNING.even_overtone, TUNING.odd_overtone, TUNING.highest_overtone)
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:

@@ -1,3 +1,4 @@
+from . import flag_rules as flag_rules
 from .aliases import ALIAS_COLUMNS as ALIAS_COLUMNS
 from .aliases import Alias as Alias
 from .aliases import Aliases as Aliases
@@ -26,8 +27,6 @@ from .decays import held_odds as held_odds
 from .decays import most_informative as most_informative
 from .decays import without_faint as without_faint
 from .decays import without_held as without_held
-from .flag_rules import LEAST_CYCLES as LEAST_CYCLES
-from .flag_rules import MANY_OUTLIERS as MANY_OUTLIERS
 from .flag_rules import mode_flags as mode_flags
 from .flag_rules import outlier_share as outlier_share
 from .flag_rules import severities as severities

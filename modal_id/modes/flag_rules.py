@@ -35,16 +35,39 @@ class Tuning:
     own_share: float = 0.05
     #: [bins] the same, where a bin is 1 / span of the record
     own_bins: float = 3.0
+    #: [1] relative change of the frequency over the record below which it has no practical consequence
+    #: convention: Chosen; effect on a severity.
+    small_frequency_change: float = 5e-4
+    #: [1] the same of the damping ratio; both must be small
+    #: convention: As above.
+    small_damping_change: float = 0.05
+    #: [1] standard deviation of the frequency, over its value, from which an interval is wide
+    #: convention: Chosen; effect on a severity.
+    wide_frequency: float = 0.01
+    #: [1] the same of the damping ratio
+    #: convention: As above.
+    wide_damping: float = 0.2
+    #: [1] share of outliers in a channel from which there are many
+    #: convention: As many may be rejected wherever they lie (`modal_id.data.samples`).
+    many_outliers: float = 0.03
+    #: [1] amplitude over the noise of a sample below which a mode is faint
+    #: convention: Chosen; effect on a flag.
+    low_snr: float = 10.0
+    #: [cycles] in a record, below which it is short
+    #: convention: Chosen; effect on a flag.
+    least_cycles: float = 10.0
+    #: [1] relative distance of frequencies below which modes are close
+    #: convention: Chosen; effect on a flag.
+    close: float = 0.1
+    #: [sd] damping ratio below which its density touches zero
+    #: statistics: A normal density has 2 % of its mass below zero there; the ratio of a half-normal one is 1.1.
+    above_zero: float = 2.0
+    #: [1] share of the Nyquist frequency from which a line may be an alias
+    #: convention: Chosen; effect on a flag.
+    near_nyquist: float = 0.9
 
 
 TUNING = Tuning()
-
-
-# Changes over the record below both of these, relative to the value, have no practical consequence: 0.05 % of f, 5 % of
-# zeta.
-_SMALL_CHANGE = (5e-4, 0.05)
-# Standard deviations, relative to the value, from which an interval is wide.
-_WIDE = (0.01, 0.2)
 
 
 def severities(
@@ -56,8 +79,9 @@ def severities(
     sd = (float(np.std(draws.frequency_hz)), float(np.std(draws.damping_ratio)))
     model_sd = (draws.systematic_frequency_hz, draws.systematic_damping_ratio)
     shares = [part / max(whole, 1e-300) for part, whole in zip(model_sd, sd, strict=True)]
-    wide = any(own > limit * value for own, value, limit in zip(sd, values, _WIDE, strict=True))
-    weak = signal_to_noise(model, index) < LOW_SNR
+    limits = (TUNING.wide_frequency, TUNING.wide_damping)
+    wide = any(own > limit * value for own, value, limit in zip(sd, values, limits, strict=True))
+    weak = signal_to_noise(model, index) < TUNING.low_snr
     affects = {
         ModeFlag.AMPLITUDE_DEPENDENT: max(shares) > TUNING.share and not _is_small(mode.dependence),
         ModeFlag.FEW_CYCLES_LOST: draws.extrapolation_damping_ratio > TUNING.share * sd[1],
@@ -90,7 +114,8 @@ def _is_small(dependence: AmplitudeDependence | None) -> bool:
         curve = dependence.curve
         ranges = (np.ptp(curve.frequency_hz), np.ptp(curve.damping_ratio))
         changes = (ranges[0] / curve.frequency_hz[0], ranges[1] / curve.damping_ratio[0])
-    return all(abs(float(change)) < limit for change, limit in zip(changes, _SMALL_CHANGE, strict=True))
+    limits = (TUNING.small_frequency_change, TUNING.small_damping_change)
+    return all(abs(float(change)) < limit for change, limit in zip(changes, limits, strict=True))
 
 
 def _coupling(model: ModalFit, index: int) -> float:
@@ -101,11 +126,6 @@ def _coupling(model: ModalFit, index: int) -> float:
     own = slice(2 * index, 2 * index + 2)
     alone = np.linalg.inv(np.linalg.pinv(correlation, hermitian=True)[own, own])
     return float(np.sqrt(np.max(np.diag(correlation[own, own]) / np.maximum(np.diag(alone), 1e-12))))
-
-
-MANY_OUTLIERS = 0.03
-LOW_SNR = 10.0
-LEAST_CYCLES = 10.0
 
 
 def mode_flags(
@@ -126,25 +146,25 @@ def mode_flags(
     draws = mode.posterior.damping_ratio
     distance = np.abs(np.delete(all_hz, index) / frequency - 1.0)
     nyquist = nyquist_hz(data.time_s)
+    at_nyquist = frequency > TUNING.near_nyquist * nyquist
     aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
     raised = {
-        ModeFlag.SHORT_RECORD: data.span_s * frequency < LEAST_CYCLES,
+        ModeFlag.SHORT_RECORD: data.span_s * frequency < TUNING.least_cycles,
         ModeFlag.ADDED: is_added(model, index),
-        ModeFlag.LOW_SNR: best < LOW_SNR,
+        ModeFlag.LOW_SNR: best < TUNING.low_snr,
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
-        ModeFlag.CLOSE_MODE: bool(np.any(distance < 0.1)),
+        ModeFlag.CLOSE_MODE: bool(np.any(distance < TUNING.close)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
-        # A normal density with this ratio has 2 % of its mass below zero; a half-normal one has a ratio of 1.1.
-        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * _sd_below(mode),
+        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < TUNING.above_zero * _sd_below(mode),
         ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
-        ModeFlag.ALIASED_POSSIBLE: frequency > 0.9 * nyquist or bool(aliases),
+        ModeFlag.ALIASED_POSSIBLE: at_nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
-        ModeFlag.MANY_OUTLIERS: outliers > MANY_OUTLIERS,
+        ModeFlag.MANY_OUTLIERS: outliers > TUNING.many_outliers,
     }
     notes = []
-    if frequency > 0.9 * nyquist:
+    if at_nyquist:
         notes.append(alias_note(2.0 * nyquist, frequency))
     notes += [
         f"At a sampling rate of {2.0 * nyquist:.4g} Hz, mode {other}, which theory predicts at "

@@ -12,6 +12,7 @@ import pandas as pd
 from modalcam.common import InputError, readable_bytes, shown
 from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
 from modalcam.inputs.text_table import read_text
+from modalcam.inputs.time_axis import TUNING as TIME_AXIS
 from modalcam.inputs.time_axis import samples_by_channels
 from tracker.video import recording_suffixes
 
@@ -25,8 +26,6 @@ _TIME_NAMES = {"time", "t", "x_value", "elapsed time", "zeit", "temps", "tiempo"
 _COUNTER_NAMES = {"frame", "frames", "frame number", "sample", "index"}
 # A name with its unit: Time (s), Time [ms], t/s, time_ms.
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)|[/_](?P<c>[^/_]*))$")
-# Samples from which on no vibration increases with every one.
-_LEAST_TIMES = 16
 
 
 @dataclass(frozen=True)
@@ -167,4 +166,4 @@ def _increases(column: pd.Series) -> bool:
     steps = np.diff(pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64))
     even = steps.size > 0 and np.ptp(steps) < np.abs(np.mean(steps))
     grows = bool(np.all(steps >= 0.0)) and 2 * np.count_nonzero(steps) > steps.size
-    return grows and bool(even or steps.size >= _LEAST_TIMES)
+    return grows and bool(even or steps.size >= TIME_AXIS.least_times)

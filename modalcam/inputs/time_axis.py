@@ -23,6 +23,9 @@ class Tuning:
     #: [1] least share of the power of such a line within two bins of its maximum
     #: statistics: Channels in any order, as noise, have 5 bins of at least 32.
     share: float = 0.3
+    #: [samples] of a column without the name of a time, from which on it is time where it always increases
+    #: physics: No vibration increases with every one of so many.
+    least_times: int = 16
 
 
 TUNING = Tuning()

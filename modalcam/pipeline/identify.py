@@ -107,12 +107,11 @@ def _because_cut(failed: _Failed, cut_off: str) -> _Failed:
     """The failure, with the cut of the file as its first cause and the length of a decay that can be identified."""
     if not cut_off:
         return failed
-    from modal_id.modes import LEAST_CYCLES  # noqa: PLC0415
+    from modal_id.modes import flag_rules  # noqa: PLC0415
 
     hz = failed.frequency_hz if isinstance(failed, FailedMode) else math.nan
-    needed = (
-        f" at least {LEAST_CYCLES / hz:.3g} s ({LEAST_CYCLES:g} cycles at {hz:.4g} Hz)" if hz > 0.0 else ""
-    )
+    cycles = flag_rules.TUNING.least_cycles
+    needed = f" at least {cycles / hz:.3g} s ({cycles:g} cycles at {hz:.4g} Hz)" if hz > 0.0 else ""
     record = f"the record needs{needed} of free decay" if needed else "the record needs a free decay"
     return replace(
         failed, reason=f"{cut_off}; {record}: copy or export the file again. In what is left, {failed.reason}"
