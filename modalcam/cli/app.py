@@ -1,4 +1,4 @@
-"""The application and its entry point, with ``init``, ``check-config``, ``verify`` and ``info``."""
+"""The application and its entry point, with ``init``, ``check-config``, ``figures``, ``verify`` and ``info``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import typer
 
 from modalcam import __version__
 from modalcam.cli.command import COMMANDS, Command, register_command
-from modalcam.cli.figures import figures
 from modalcam.cli.options import Replace, console
 from modalcam.cli.probe import probe
 from modalcam.cli.run import identify, report, run, simulate, track
@@ -61,6 +60,26 @@ def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml
     if unusable := unusable_recordings(read):
         msg = f"{shown(str(config))}: {'; '.join(unusable)}"
         raise ConfigError(msg)
+
+
+def figures(
+    out: Annotated[Path, typer.Argument(help="Folder of an earlier run.")],
+    to: Annotated[Path, typer.Option("-o", "--out", help="Folder for the figures.")],
+    columns: Annotated[
+        int,
+        typer.Option(
+            min=1, max=2, help="Style of a journal: letters and width for 1 column (89 mm) or 2 (183 mm)."
+        ),
+    ] = 2,
+    force: Replace = False,
+) -> None:
+    """Write the figures of the report as SVG and PDF, with data."""
+    check_new(to / "captions.txt", force=force)
+    from modalcam.pipeline import load_run
+    from modalcam.report import write_figures
+
+    written = write_figures(load_run(out), to, columns=columns)
+    typer.echo(f"{len(written)} files in {shown(str(to))}")
 
 
 def verify(
