@@ -115,9 +115,14 @@ def identify(
     used, usable_from_s = samples
     if settings.excitation == "ambient":
         return identify_ambient(series, used, settings)
-    parts = _parts(series, used, settings, usable_from_s)
     whole = settings.onset_s is not None and settings.end_s is not None
-    return _identified(series, used, parts, settings, whole=whole)
+    parts = _parts(series, used, settings, usable_from_s, settings.lowest_hz)
+    found = _identified(series, used, parts, settings, settings.lowest_hz, whole=whole)
+    if not found and settings.lowest_hz > 0.0:
+        # the theory of another beam excludes the motion
+        parts = _parts(series, used, settings, usable_from_s, 0.0)
+        found = _identified(series, used, parts, settings, 0.0, whole=whole) or found
+    return found
 
 
 def identify_free_decay(
@@ -132,7 +137,7 @@ def identify_free_decay(
     if isinstance(samples, Failure):
         return samples
     used, _ = samples
-    return _identified(series, used, _one_decay(series, used), settings, whole=True)
+    return _identified(series, used, _one_decay(series, used), settings, settings.lowest_hz, whole=True)
 
 
 def fit_free_decay(series: DisplacementSeries, max_modes: int) -> tuple[FittedMode, ...] | Failure:
@@ -194,10 +199,16 @@ def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Pr
 
 
 def _identified(
-    series: DisplacementSeries, used: Prepared, parts: RecordParts, settings: IdentifySettings, *, whole: bool
+    series: DisplacementSeries,
+    used: Prepared,
+    parts: RecordParts,
+    settings: IdentifySettings,
+    lowest_hz: float,
+    *,
+    whole: bool,
 ) -> Identification | Failure:
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
-    lowest_hz, named_hz = settings.lowest_hz, settings.add_hz
+    named_hz = settings.add_hz
     fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
     if not whole and (undivided := _of_uneven_frames(series, used, parts, fits, settings)) is not None:
         fits = undivided
@@ -341,14 +352,18 @@ def _of_interval(
 
 
 def _parts(
-    series: DisplacementSeries, used: Prepared, settings: IdentifySettings, usable_from_s: float
+    series: DisplacementSeries,
+    used: Prepared,
+    settings: IdentifySettings,
+    usable_from_s: float,
+    lowest_hz: float,
 ) -> RecordParts:
     """Parts of the record in the time of the series, which is usable from `usable_from_s` on (after any clipping)."""
     data, base = with_base(used.data, series, used.first_row)
     parts = divide(
         data,
         rough_variance(data),
-        settings.lowest_hz,
+        lowest_hz,
         _target_hz(settings),
         base,
         begins_free=None if settings.onset_s is None else user_onset(0.0),

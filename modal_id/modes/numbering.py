@@ -208,13 +208,14 @@ def choose_target(
         if number in numbers and fitting is None:
             return TargetChoice(numbers.index(number))
         seen = f"the modes found are at {', '.join(f'{f:.4g}' for f in frequencies_hz)} Hz"
+        other = "a quantity of the beam is in another unit"
         if number in numbers:
             seen = f"the mode found at {frequencies_hz[numbers.index(number)]:.4g} Hz has another shape"
         return TargetChoice(
             None,
             f"{'' if fitting is None else f'{fitting}; '}"
             f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but {seen}; "
-            f"{_in_other_unit(frequencies_hz, expected[number - 1], 'a quantity of the beam is in another unit')}"
+            f"{_in_other_unit(frequencies_hz, expected[number - 1], other, ', or the beam in mm, not in m')}"
             "check the recorded frame rate, the properties of the beam and the mode given for the recording",
             expected[number - 1],
             fitting=fitting,
@@ -308,10 +309,10 @@ def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> 
     )
 
 
-def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: str) -> str:
+def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: str, below: str = "") -> str:
     """Clause on a frequency that is a thousandth of the wanted one, or 1000 times it, which `above` explains."""
-    below = "give the frame rate in Hz, not in kHz"
-    for factor, text, cause in ((1e-3, "a thousandth of", below), (1e3, "1000 times", above)):
+    rate = f"give the frame rate in Hz, not in kHz{below}"
+    for factor, text, cause in ((1e-3, "a thousandth of", rate), (1e3, "1000 times", above)):
         near = np.abs(np.log(frequencies_hz / (factor * wanted_hz))) < MAX_LOG_RATIO
         if np.any(near):
             return f"{frequencies_hz[near][0]:.4g} Hz is {text} it: {cause}; "

@@ -176,8 +176,11 @@ def identify(
     """Identify modes from a table of motion: .csv, .mat, .uff, ..."""
     from modalcam import commands
     from modalcam.config import parse_recording
-    from modalcam.inputs import MAX_BYTES
+    from modalcam.inputs import MAX_BYTES, checked_unit
 
+    checked_unit(unit, "--unit")
+    if input_unit is not None:
+        checked_unit(input_unit, "--input-unit")
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)

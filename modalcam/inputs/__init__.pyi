@@ -15,6 +15,7 @@ from .series import tracks_from_table as tracks_from_table
 from .series import with_input_file as with_input_file
 from .series import with_known_input as with_known_input
 from .series import with_recorded_input as with_recorded_input
+from .stated import checked_unit as checked_unit
 from .table import MAX_BYTES as MAX_BYTES
 from .table import Table as Table
 from .table import read_table as read_table

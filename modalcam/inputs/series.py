@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from modal_id.response import at_other_times
 from modalcam.common import InputError, shown
 from modalcam.config import ExperimentConfig
+from modalcam.inputs.stated import unit_in_names
 from modalcam.inputs.table import Table, read_table
 from modalcam.pipeline import RecordingResult
 from tracker import (
@@ -128,14 +129,18 @@ def with_known_input(motion: dict[str, Any], channel: str, unit: str | None) -> 
         raise InputError(msg)
     at = series.channels.index(channel)
     others = np.arange(len(series.channels)) != at
+    names = tuple(name for name in series.channels if name != channel)
+    of_outputs = unit_in_names(names) or series.unit
+    own = unit or unit_in_names([channel]) or of_outputs
     return {
         "series": replace(
             series,
-            channels=tuple(name for name in series.channels if name != channel),
+            channels=names,
+            unit=of_outputs,
             values=series.values[:, others],
             sd=series.sd[:, others],
             positions_mm=series.positions_mm[others],
-            known_input=_known_input(series, at, series.values[:, at], unit or series.unit, series.unit),
+            known_input=_known_input(series, at, series.values[:, at], own, of_outputs),
         )
     }
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from modalcam.common import InputError, readable_bytes, shown
+from modalcam.inputs.stated import unit_in_names
 from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
 from modalcam.inputs.text_table import read_text
 from modalcam.inputs.time_axis import TUNING as TIME_AXIS
@@ -69,7 +70,8 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     try:
         columns, notes = TABLE_READERS.get(suffix, read_text)(path)
         table = _with_times(*_upright(columns, notes), rate_hz, where)
-        return replace(table, unit=str(columns.attrs.get("unit", "")))
+        unit = str(columns.attrs.get("unit", "")) or unit_in_names(map(str, table.columns.columns[1:]))
+        return replace(table, unit=unit)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
         raise InputError(msg) from error

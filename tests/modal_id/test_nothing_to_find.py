@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from kit.series import QUICK, coloured, one_mode, pole_of, series_of
+from kit.series import QUICK, coloured, decay, one_mode, pole_of, series_of
 from scipy.signal import lfilter
 
 from modal_id import IdentifySettings, SamplerSettings, identify
@@ -138,6 +138,14 @@ def test_a_return_to_rest_without_oscillation_is_named(damping_ratio):
     found = identify(series_of(T, values + noise), IdentifySettings(sampler=QUICK))
     assert not found
     assert "damping ratios above 0.7 are not identified" in found.reason
+
+
+def test_a_beam_in_metres_does_not_hide_the_motion():
+    wave = 2.0 * decay(T, 10.0, 0.01) + 0.01 * np.random.default_rng(3).standard_normal(T.size)
+    settings = IdentifySettings(mode=1, expected_frequencies_hz=(1e4, 6.3e4), sampler=QUICK)
+    found = identify(series_of(T, wave), settings)
+    assert found.modes[0].frequency_hz == pytest.approx(10.0, abs=4.0 * found.modes[0].frequency_sd_hz)
+    assert "or the beam in mm, not in m" in next(failed.reason for failed in found.failed if failed.target)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pytest
 from kit.tracks import rectified_tracks, sample_tracks
 
 from modalcam.common import InputError
-from modalcam.inputs import is_tracks, read_table, series_from_table, tracks_from_table
+from modalcam.inputs import is_tracks, read_table, series_from_table, tracks_from_table, with_known_input
 from modalcam.tables import write_tracks
 
 
@@ -92,3 +92,11 @@ def test_columns_of_the_tracks_file(tmp_path):
         "frame time_s marker x_px y_px sd_x_px sd_y_px x_mm y_mm sd_x_mm sd_y_mm flags"
     )
     assert len(table) == 12 * 2
+
+
+def test_a_force_is_known_by_the_unit_in_its_name(tmp_path):
+    text = "time_s,hammer [N],tip [g]\n" + "".join(f"{0.01 * k},{k % 3},{k % 5}\n" for k in range(30))
+    motion = {"series": series_from_table(table_of(tmp_path, text), name="x", unit="1")}
+    series = with_known_input(motion, "hammer [N]", None)["series"]
+    assert (series.unit, series.known_input.unit, series.known_input.is_force) == ("g", "N", True)
+    assert with_known_input(motion, "hammer [N]", "kN")["series"].known_input.unit == "kN"

@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from modalcam.common import InputError
-from modalcam.inputs import read_table, register_table_reader, series_from_table
+from modalcam.inputs import checked_unit, read_table, register_table_reader, series_from_table
 
 TIME_S = np.arange(40) / 250.0
 MOTION = np.round(np.random.default_rng(4).standard_normal((40, 2)), 6)
@@ -80,6 +80,34 @@ def test_units_below_the_names_and_uneven_times_without_a_name(tmp_path):
     np.testing.assert_array_equal(read_table(tmp_path / "b.npy").columns["time_s"], uneven)
     with pytest.raises(InputError, match="--rate is for tables without times"):
         read_table(tmp_path / "b.npy", 250.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [
+        ("a [g],b [g]", "g"),
+        ("Acc X (m/s^2),Acc Y (m/s^2)", "m/s^2"),
+        ("a (mm),sd_a (mm)", "mm"),
+        ("a [g],b [N]", ""),
+        ("a [g],b", ""),
+        ("a (left),b (left)", ""),
+        ("a [banana],b [banana]", ""),
+    ],
+)
+def test_a_unit_in_the_names_of_all_channels_is_that_of_the_table(tmp_path, names, unit):
+    rows = "\n".join(f"{t:.9g},1,2" for t in TIME_S)
+    (tmp_path / "a.csv").write_text(f"Time (s),{names}\n{rows}\n")
+    assert read_table(tmp_path / "a.csv").unit == unit
+
+
+@pytest.mark.parametrize(
+    "unit", ["mm", "um/s", "m/s2", "m/s²", "m/s^2", "V", "N·m", "rad", "°", "1", "%", "counts"]
+)
+def test_units_are_products_of_powers_of_known_ones(unit):
+    assert checked_unit(unit, "--unit") == unit
+    for wrong in (f"{unit}x", f"{unit}//s", "", "banana"):
+        with pytest.raises(InputError, match="--unit: expected a unit such as mm"):
+            checked_unit(wrong, "--unit")
 
 
 @pytest.mark.parametrize("order", ["samples by channels", "channels by samples"])
