@@ -26,7 +26,8 @@ _HEADER = re.compile(r"[ \t]*\[(?P<list>\[)?[ \t]*(?P<name>[\w.-]+)[ \t]*\]")
 _KEY = re.compile(r"[ \t]*(?:(?P<bare>[\w.-]+)|[\"'](?P<quoted>[^\"'\n]+)[\"'])[ \t]*=")
 # Path of the key with which a sentence on it begins.
 _NAMED = re.compile(r"unknown key '(?P<unknown>[^']+)'|(?P<known>[^\s:]+):")
-_NO_LENS = "the lens cannot be read; `modalcam calibrate` writes one"
+_NO_CONFIG = "`modalcam init FOLDER` writes a configuration"
+_NO_LENS = "`modalcam calibrate` writes a lens"
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -42,7 +43,7 @@ def load_config(path: Path) -> ExperimentConfig:
 
 def config_text(path: Path) -> str:
     """Text of a configuration, not parsed; ConfigError if the file cannot be read."""
-    return _text(path, "cannot be read")
+    return _text(path, _NO_CONFIG)
 
 
 def config_of_text(text: str, path: Path) -> ExperimentConfig:
@@ -60,7 +61,7 @@ def config_of_text(text: str, path: Path) -> ExperimentConfig:
 
 def raw_config(path: Path) -> dict[str, Any]:
     """Content of a configuration and of the lens files that it names, not validated."""
-    data = _toml(path, "cannot be read")
+    data = _toml(path, _NO_CONFIG)
     recordings = data.get("recordings", ())
     for section in (data.get("camera"), *(recordings if isinstance(recordings, list) else ())):
         if isinstance(section, dict) and isinstance(section.get("lens"), str):
@@ -87,7 +88,7 @@ def _text(path: Path, unreadable: str) -> str:
         readable_bytes(path, MAX_CONFIG_BYTES)
         data = path.read_bytes()
     except OSError as error:
-        msg = f"{path}: {unreadable} ({error.strerror})"
+        msg = f"{path}: cannot be read ({error.strerror}); {unreadable}"
         raise ConfigError(msg) from error
     except InputError as error:
         msg = f"{error}; {unreadable}"

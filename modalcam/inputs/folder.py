@@ -121,7 +121,9 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
         msg = f"{shown(str(error.filename))}: cannot be read ({error.strerror})"
         raise InputError(msg) from error
     if not walk.files and not walk.folders:
-        seen = f"; found only {', '.join(sorted(walk.others))}" if walk.others else "; it holds no files"
+        seen = "; it holds no files"
+        if walk.others:
+            seen = f"; found only {', '.join(sorted(walk.others))} (a table of motion is for modalcam identify)"
         problems = [*walk.notes, *(f"{shown(place)}: {reason}" for place, reason in walk.unreadable)]
         hint = f" ({' '.join(problems)})" if problems else ""
         msg = (
