@@ -9,7 +9,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
@@ -25,6 +24,7 @@ from rich.text import Text
 
 from modal_id import DAMPING, FREQUENCY, QUOTED, SMALL_DAMPING, SMALL_FREQUENCY, FittingRate, quoted_note
 from modalcam.common import ExitCode, ModalcamError, for_terminal, natural_key, shown
+from modalcam.pace import Pace, duration, rest_of_run_s
 from modalcam.pipeline import Progress, RecordingResult, Workspace, write_text
 from modalcam.report.style import count, hertz, interval, with_sd
 from tracker import Column as Value
@@ -43,55 +43,27 @@ _LOG_WIDTH = 160
 _MOST_NAMES = 6
 
 
-@dataclass
-class FramePace:
-    """Frames of the recordings of one stage; markers are learned before the first of them."""
-
-    done: int = 0
-    running: dict[str, tuple[int, int]] = field(default_factory=dict)
-    first: tuple[float, int] | None = None
-
-    def take(self, name: str, frames: int, declared: int) -> None:
-        """The recording `name` is at `frames` of `declared`."""
-        self.running[name] = frames, declared
-
-    def end(self, name: str) -> None:
-        """The recording has been worked on to its end."""
-        self.done += max(self.running.pop(name, (0, 0)))
-
-    def text(self, now_s: float) -> str:
-        """Frames of the recordings being worked on, rate of all, time left for them; empty before the first frame."""
-        done, declared = (sum(pair[i] for pair in self.running.values()) for i in (0, 1))
-        if done == 0:
-            return ""
-        said = f"{done} of {declared} frames" if declared >= done else f"{done} frames"
-        if self.first is None:
-            self.first = now_s, self.done + done
-        since_s, before = self.first
-        rate = (self.done + done - before) / max(now_s - since_s, 1e-9)
-        if rate <= 0.0:
-            return said
-        left = f", {(declared - done) / rate:.0f} s left" if declared >= done else ""
-        return f"{said}, {rate:.0f} a second{left}"
-
-
 class ConsoleProgress(Progress):
-    """Shows each stage as a bar, or as a line when it has ended if the console is no terminal."""
+    """Shows each stage as a bar, or as a line when it has ended if the console is no terminal.
 
-    def __init__(self, bars: Bars, console: Console, verbose: int) -> None:
+    Of a run as a whole (`whole_run`), with the time that the rest of it will take.
+    """
+
+    def __init__(self, bars: Bars, console: Console, verbose: int, *, whole_run: bool) -> None:
         self._bars = bars
         self._console = console
         self._verbose = verbose
         self._task: TaskID | None = None
-        self._stage = ""
+        self._whole_run = whole_run
+        self._stages: list[str] = [""]
         self._ended: dict[str, list[str]] = {}
-        self._frames = FramePace()
+        self._pace = Pace(monotonic(), 0)
 
     def begin(self, stage: str, total: int) -> None:
         """End the stage before and add a bar for this one."""
         self.end()
-        self._stage = stage
-        self._frames = FramePace()
+        self._stages.append(stage)
+        self._pace = Pace(monotonic(), total)
         if self._verbose > 0 and not self._console.is_terminal:
             self.say(f"{stage} ({total})")
         if total:
@@ -102,18 +74,16 @@ class ConsoleProgress(Progress):
         outcome = "reused" if reused else "computed"
         self._ended.setdefault(outcome, []).append(shown(name))
         if self._task is not None:
-            self._frames.end(name)
-            self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
+            self._pace.end(name, reused=reused)
+            self._bars.update(self._task, advance=1, outcome=self._with_pace())
         if self._verbose > 0 and name:
             self.say(f"  {name}: {outcome}")
 
     def within(self, name: str, frames: int, declared: int) -> None:
         """Show the frames of the recordings that are being worked on, their rate and the time that they will take."""
-        self._frames.take(name, frames, declared)
-        pace = self._frames.text(monotonic())
-        if pace and self._task is not None:
-            outcome = self._outcome(names=False)
-            self._bars.update(self._task, outcome=f"{outcome}; {pace}" if outcome else pace)
+        self._pace.take(name, frames, declared)
+        if self._task is not None:
+            self._bars.update(self._task, outcome=self._with_pace())
 
     def say(self, text: str) -> None:
         """Print a line now."""
@@ -127,9 +97,20 @@ class ConsoleProgress(Progress):
     def end(self) -> None:
         """Without a terminal, print which results of the current stage were computed and which reused."""
         if self._ended and not self._console.is_terminal and self._verbose >= 0:
-            self.say(f"{self._stage}: {self._outcome(names=True)}")
+            self.say(f"{self._stages[-1]}: {self._outcome(names=True)}")
         self._ended = {}
         self._task = None
+
+    def _with_pace(self) -> str:
+        """How many tasks have ended, frames of those that go on, and about how long the rest takes."""
+        now_s = monotonic()
+        left_s, said = self._pace.left_s(now_s), [self._outcome(names=False), self._pace.frames(now_s)]
+        if left_s:
+            after_s = (
+                rest_of_run_s(self._stages, now_s - self._pace.since_s + left_s) if self._whole_run else None
+            )
+            said.append(f"about {duration(left_s + (after_s or 0.0))} left{' of the run' if after_s else ''}")
+        return "; ".join(filter(None, said))
 
     def _outcome(self, *, names: bool) -> str:
         """Which results were computed and which reused: their names if they are few, else how many."""
@@ -200,8 +181,8 @@ def _tell(**values: Any) -> None:
 
 
 @contextmanager
-def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
-    """Progress display while the block runs; none where `verbose` is negative."""
+def listener(console: Console, verbose: int, *, whole_run: bool = False) -> Iterator[ConsoleProgress]:
+    """Progress display while the block, perhaps a whole run, goes on; none where `verbose` is negative."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -210,7 +191,7 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
         TextColumn("{task.fields[outcome]}"),
     )
     with Bars(*columns, console=console, disable=verbose < 0 or not console.is_terminal) as bars:
-        progress = ConsoleProgress(bars, console, verbose)
+        progress = ConsoleProgress(bars, console, verbose, whole_run=whole_run)
         yield progress
         progress.end()
 

@@ -205,7 +205,11 @@ def compute(
     told = JsonProgress() if progress == "json" else None
 
     def computed() -> ExitCode:
-        with nullcontext(told) if told else listener(console(), -1 if quiet else verbose) as shown:
+        with (
+            nullcontext(told)
+            if told
+            else listener(console(), -1 if quiet else verbose, whole_run=True) as shown
+        ):
             result = command(options, shown)
         return finish(
             told.console if told else console(),

@@ -123,7 +123,9 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
     if not walk.files and not walk.folders:
         seen = "; it holds no files"
         if walk.others:
-            seen = f"; found only {', '.join(sorted(walk.others))} (a table of motion is for modalcam identify)"
+            seen = (
+                f"; found only {', '.join(sorted(walk.others))} (a table of motion is for modalcam identify)"
+            )
         problems = [*walk.notes, *(f"{shown(place)}: {reason}" for place, reason in walk.unreadable)]
         hint = f" ({' '.join(problems)})" if problems else ""
         msg = (

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from modalcam.common import ExitCode
-from modalcam.console import FramePace, finish, problems, tracked
+from modalcam.console import finish, problems, tracked
+from modalcam.pace import Pace, duration, rest_of_run_s
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 
@@ -152,19 +153,41 @@ def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
 
 def test_frames_have_a_rate_and_a_time_left():
     """From the first frames on: 8 at 20 s; 300 at 22.92 s, of which 100 in a recording that ended."""
-    pace = FramePace()
+    pace = Pace(10.0, 3)
     pace.take("a", 0, 0)
-    assert pace.text(10.0) == "", "markers are being learned"
+    assert pace.frames(10.0) == "", "markers are being learned"
+    assert pace.left_s(10.0) is None
     pace.take("a", 8, 100)
-    assert pace.text(20.0) == "8 of 100 frames"
+    assert pace.frames(20.0) == "8 of 100 frames"
     pace.take("a", 96, 100)
-    pace.end("a")
+    pace.end("a", reused=False)
     pace.take("b", 50, 400)
     pace.take("c", 150, 400)
-    assert pace.text(22.92) == "200 of 800 frames, 100 a second, 6 s left"
+    assert pace.frames(22.92) == "200 of 800 frames, 100 a second"
+    # one of three, an eighth and three eighths of the others, half of the stage in all, took 12.92 s
+    assert pace.left_s(22.92) == pytest.approx(12.92)
     pace.take("c", 500, 400)
     pace.take("b", 400, 400)
-    assert pace.text(29.92) == "900 frames, 100 a second", "a file with more frames than it declares"
+    assert pace.frames(29.92) == "900 frames, 100 a second", "a file with more frames than it declares"
+
+
+def test_results_that_are_used_again_give_no_pace():
+    pace = Pace(0.0, 5)
+    pace.end("a", reused=True)
+    assert pace.left_s(1.0) is None
+    pace.end("b", reused=False)
+    assert pace.left_s(2.0) == pytest.approx(6.0), "one of the four others in 2 s"
+
+
+def test_the_rest_of_a_run_is_in_proportion_to_its_stage():
+    """Tracking that takes 17 s of a run in which it takes 17 %; without a beam 41 % of it, and at its end nothing."""
+    assert rest_of_run_s(["reading", "tracking"], 17.0) == pytest.approx(79.0)
+    before = ["reading", "tracking", "theory of the beam"]
+    assert rest_of_run_s([*before, "identifying"], 18.0) == pytest.approx(61.0)
+    assert rest_of_run_s(["tracking", "identifying"], 18.0) == pytest.approx(20.0)
+    assert rest_of_run_s([*before, "identifying", "drawing", "writing"], 3.0) == 0.0
+    assert rest_of_run_s(["running trials"], 5.0) is None
+    assert [duration(s) for s in (0.3, 52.0, 240.0, 7200.0)] == ["5 s", "50 s", "4 min", "2.0 h"]
 
 
 def test_without_a_recorded_rate_no_frequency_is_printed(tmp_path):

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 from modalcam.common import ExitCode, ModalcamError
+from modalcam.pace import rest_of_run_s
 
 
 def main() -> None:
@@ -169,6 +170,14 @@ class RunState:
         if not stage.computed:
             return None
         return (now_s - stage.started_s) / len(stage.computed) * (stage.total - stage.done)
+
+    def rest_of_run_s(self, now_s: float) -> float | None:
+        """About the time until the run ends; None before there is a pace."""
+        left_s = self.remaining_s(now_s)
+        if left_s is None:
+            return None
+        stages, stage_s = [stage.name for stage in self.stages], now_s - self.stage.started_s + left_s
+        return left_s + (rest_of_run_s(stages, stage_s) or 0.0)
 
     def take(self, line: str, now_s: float) -> None:
         """Note one line of the process's output; a line of something else is a message."""

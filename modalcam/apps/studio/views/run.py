@@ -26,6 +26,7 @@ from modalcam.apps.studio.views.shared import (
     table_head,
 )
 from modalcam.common import ExitCode, shown
+from modalcam.pace import duration
 from tracker import FailedTracking, Failure
 
 if TYPE_CHECKING:
@@ -87,13 +88,13 @@ class RunView:
         now_s = time.monotonic()
         stage = run.stage
         if run.is_running:
-            remaining, pace = run.remaining_s(now_s), run.frames_per_s()
+            left_s, pace = run.rest_of_run_s(now_s), run.frames_per_s()
             parts = [
                 f"{stage.name}: {stage.done} of {stage.total}" if stage.total else stage.name,
                 f"working on {', '.join([*stage.working][:_MOST_NAMED])}" if stage.working else "",
                 f"{run.elapsed_s(now_s):.0f} s",
                 "" if pace is None else f"{pace:.0f} frames a second",
-                "" if remaining is None else f"about {remaining:.0f} s left of this stage",
+                "" if left_s is None else f"about {duration(left_s)} left",
                 "it ends after what it works on; press again to stop at once" if run.cancelled else "",
             ]
             self._stage.text = ", ".join(filter(None, parts))

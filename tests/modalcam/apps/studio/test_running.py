@@ -26,6 +26,8 @@ def test_progress_is_counted_by_stage():
     assert (stage.name, stage.done, stage.reused, stage.computed) == ("identifying", 2, ["a"], ["b"])
     assert [stage.state_of(name, is_running=True) for name in "abc"] == ["reused", "done", "to do"]
     assert state.remaining_s(14.0) == 8.0  # one of three in 4 s
+    # 12 s for 18 % of a run, and without a beam another 20 % comes after it
+    assert state.rest_of_run_s(14.0) == pytest.approx(8.0 + 12.0 * 20.0 / 18.0)
     state.take(line(event="begin", stage="writing", total=1), 20.0)
     assert state.stage.done == 0
     state.exit_code, state.ended_s = int(ExitCode.OK), 25.0
