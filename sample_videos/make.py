@@ -1,8 +1,9 @@
-"""Recreate the sample recordings byte for byte: `python sample_videos/make.py [FOLDER] [--check]`.
+"""Recreate the sample recordings: `python sample_videos/make.py [FOLDER] [--check]`.
 
 The paper's hanging beam is driven at each of its first five natural frequencies to steady state, stopped suddenly and
 filmed while it decays. This script writes all files in this folder except README.md and itself. With --check it creates
-the recordings in a temporary folder and compares them with the existing ones without changing them.
+the recordings in a temporary folder and compares them with the existing ones without changing them: byte for byte, but
+for frames that a difference of 1e-8 in a frequency, such as between versions, rounds otherwise.
 
 The amplitudes are typical of a real test: large rotation lowers the frequencies of modes 2 to 5 by about 0.01 %, more
 than their standard deviation with accurate tracking. truth.json contains the values at small amplitude.
@@ -14,11 +15,13 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import tomli_w
 
@@ -46,6 +49,8 @@ ARUCO_POSITIONS_MM = (15.0, 110.0, 205.0, 300.0, 395.0, 485.0)
 ARUCO_DICTIONARY = "DICT_4X4_50"
 DOT_MM, ARUCO_MM, QUIET_ZONE_MM = 12.0, 20.0, 3.0
 EXPOSURE_S = 5.0e-4
+# Twice what was seen between two versions: counts of a pixel, and share of the frames.
+MOST_COUNTS, MOST_FRAMES = 8, 0.025
 READ_NOISE_SD, NOISE_GAIN, LENS_BLUR_PX = 1.0, 0.04, 0.6
 
 
@@ -269,12 +274,22 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         names = make(Path(temporary))
         different = [n for n in names if not _same(Path(temporary) / n, options.folder / n)]
-    print(f"different: {', '.join(different)}" if different else "all files are identical")
+    print(f"different: {', '.join(different)}" if different else "all files are the same")
     return 1 if different else 0
 
 
 def _same(one: Path, other: Path) -> bool:
-    return other.is_file() and one.read_bytes() == other.read_bytes()
+    if not other.is_file() or one.suffix != ".avi" or one.read_bytes() == other.read_bytes():
+        return other.is_file() and one.read_bytes() == other.read_bytes()
+    # A count that is rounded otherwise changes the block of its pixel by a few counts, in one frame of a hundred.
+    changed = [np.abs(a - b).max() for a, b in zip(_frames(one), _frames(other), strict=True)]
+    return max(changed) <= MOST_COUNTS and np.count_nonzero(changed) <= MOST_FRAMES * len(changed)
+
+
+def _frames(path: Path) -> Iterator[Any]:
+    with av.open(str(path)) as container:
+        for frame in container.decode(video=0):
+            yield frame.to_ndarray(format="gray8").astype(int)
 
 
 if __name__ == "__main__":
