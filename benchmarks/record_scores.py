@@ -4,6 +4,7 @@ Truth is the small-amplitude value of a mode; where damping grows with the ampli
 answer states for small amplitude. *Wrong*: a listed mode differs from the nearest true mode by more than four stated
 standard deviations and by more than 1 %; a mode of a record that is driven throughout; a record called driven that
 never is, or whose decay determines mode 1 to 1 %. *Confident*: a mode that is wrong without a flag of severity WRONG.
+*Small*: a mode whose value at small amplitude is wrong, in a record of any damping.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ def score(answer: Answer, truth: RecordScene) -> Score:
         "crashed": answer["kind"] == "crashed",
         "wrong": bool(wrong) or misled,
         "confident": any(not mode["wrong_flags"] for mode in wrong),
+        "small": any(_is_wrong(_at_small_amplitude(mode), truth.modes) for mode in answer["modes"]),
         "false": len(modes),
     }
     if only_drive:
@@ -185,6 +187,7 @@ def _row(scores: Sequence[Score]) -> dict[str, str]:
         "crashes": count("crashed"),
         "wrong": count("wrong"),
         "of these without a flag": count("confident"),
+        "wrong at small amplitude": count("small"),
         "informative": str(len(all_of("refused"))),
         "of these without mode 1": count("refused"),
         "mode 1 found, %": percent("first"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data import FitData, Prepared, listed
+from modal_id.data import FitData, Prepared, are_many, listed, outlier_share
 from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes import (
@@ -20,13 +20,11 @@ from modal_id.modes import (
     choose_target_of,
     combination_tones,
     conversion,
-    flag_rules,
     missing_target,
     mode_flags,
     moving_channels,
     not_established,
     number_modes,
-    outlier_share,
     rejected_modes,
     repeating_shape_sd,
     severities,
@@ -155,7 +153,7 @@ def converted(series: DisplacementSeries, prepared: Prepared, fitted: FittedDeca
 
 def _conversion(series: DisplacementSeries, model: ModalFit, outliers: float) -> Conversion | None:
     predicted = series.position_errors is not None and series.position_errors.predicted
-    return conversion(model, steady_noise=outliers <= flag_rules.TUNING.many_outliers, predicted=predicted)
+    return conversion(model, steady_noise=not are_many(outliers), predicted=predicted)
 
 
 def assemble_driven(
@@ -364,7 +362,7 @@ def _notes_of_fit(
         notes.append(
             f"{rejected} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."
         )
-    if outliers > flag_rules.TUNING.many_outliers and rejected < 0.5 * outliers * total:
+    if are_many(outliers) and rejected < 0.5 * outliers * total:
         notes.append(
             f"Up to {100.0 * outliers:.1f} % of the samples of a channel deviate from the fitted model by more than 5 "
             "sd, in clusters rather than at random: they were kept, and the noise level includes them. Inspect the "

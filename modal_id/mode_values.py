@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -218,6 +218,23 @@ class AmplitudeDependence:
     significant: bool
     curve: AmplitudeCurve | None = None
     averaged: tuple[float, float] = (float("nan"), float("nan"))
+
+    def doubted(self, frequency_hz: float, damping_ratio: float) -> AmplitudeDependence:
+        """With the distances to these constant values in its standard deviations: the record follows neither."""
+        curve, averaged = self.curve, self.averaged
+        if curve is not None:
+            curve = replace(
+                curve,
+                damping_ratio_sd=np.hypot(curve.damping_ratio_sd, curve.damping_ratio - damping_ratio),
+                frequency_sd_hz=np.hypot(curve.frequency_sd_hz, curve.frequency_hz - frequency_hz),
+            )
+        return replace(
+            self,
+            zeta0_sd=float(np.hypot(self.zeta0_sd, self.zeta0 - damping_ratio)),
+            f0_sd_hz=float(np.hypot(self.f0_sd_hz, self.f0_hz - frequency_hz)),
+            averaged=(averaged[0], float(np.hypot(averaged[1], averaged[0] - damping_ratio))),
+            curve=curve,
+        )
 
     @property
     def small_amplitude_frequency(self) -> tuple[float, float]:

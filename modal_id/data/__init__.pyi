@@ -16,10 +16,12 @@ from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
 from .repeats import sampled_rows as sampled_rows
 from .samples import FitData as FitData
+from .samples import are_many as are_many
 from .samples import beyond_limit as beyond_limit
 from .samples import detrended as detrended
 from .samples import limited as limited
 from .samples import neighbour_sums as neighbour_sums
+from .samples import outlier_share as outlier_share
 from .samples import reject_outliers as reject_outliers
 from .samples import rough_variance as rough_variance
 from .samples import runs as runs

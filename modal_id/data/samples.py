@@ -145,7 +145,7 @@ class Tuning:
     #: [sd] deviation from which a sample is rejected
     #: statistics: One good sample in two million.
     limit: float = 5.0
-    #: [1] share of a channel's samples that may be rejected wherever they lie
+    #: [1] share of a channel's samples that may be rejected wherever they lie; more show that the model lacks something
     few: float = 0.03
     #: [1] share that may be rejected where the samples are spread at random
     #: physics: The median absolute deviation itself is then a third too large.
@@ -171,6 +171,18 @@ def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
     any rejection.
     """
     return np.asarray((weights > 0.0) & (np.abs(residual) > _limit(weights, residual)))
+
+
+def outlier_share(weights: FloatArray, residual: FloatArray) -> float:
+    """Largest share, over channels, of the used samples beyond the limit of `beyond_limit`."""
+    bad = np.count_nonzero(beyond_limit(weights, residual), axis=0)
+    used = np.count_nonzero(weights > 0.0, axis=0)
+    return float(np.max(bad / np.maximum(used, 1), initial=0.0))
+
+
+def are_many(outliers: float) -> bool:
+    """Whether this share of outliers shows that the model does not explain a channel."""
+    return outliers > TUNING.few
 
 
 def limited(weights: FloatArray, residual: FloatArray) -> FloatArray:

@@ -28,7 +28,6 @@ from .decays import most_informative as most_informative
 from .decays import without_faint as without_faint
 from .decays import without_held as without_held
 from .flag_rules import mode_flags as mode_flags
-from .flag_rules import outlier_share as outlier_share
 from .flag_rules import severities as severities
 from .frame_clock import Clock as Clock
 from .frame_clock import DecayRecord as DecayRecord

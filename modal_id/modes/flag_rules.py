@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.curve import explains
-from modal_id.data import beyond_limit
+from modal_id.data import are_many
 from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.numbering import possible_aliases
@@ -15,7 +15,7 @@ from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mod
 from modal_id.results import AmplitudeDependence
 from modal_id.settings import IdentifySettings
 from modal_id.solve import frequency_hz
-from tracker import ComplexArray, FloatArray, Severity
+from tracker import ComplexArray, Severity
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,6 @@ class Tuning:
     #: [1] the same of the damping ratio
     #: convention: As above.
     wide_damping: float = 0.2
-    #: [1] share of outliers in a channel from which there are many
-    #: convention: As many may be rejected wherever they lie (`modal_id.data.samples`).
-    many_outliers: float = 0.03
     #: [1] amplitude over the noise of a sample below which a mode is faint
     #: convention: Chosen; effect on a flag.
     low_snr: float = 10.0
@@ -161,7 +158,7 @@ def mode_flags(
         ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
         ModeFlag.ALIASED_POSSIBLE: at_nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
-        ModeFlag.MANY_OUTLIERS: outliers > TUNING.many_outliers,
+        ModeFlag.MANY_OUTLIERS: are_many(outliers),
     }
     notes = []
     if at_nyquist:
@@ -212,10 +209,3 @@ def _is_one_curve(mode: SampledMode) -> bool:
     if curve is None or curve.amplitude[1] > TUNING.decade * curve.amplitude[-1]:
         return False
     return explains(curve)
-
-
-def outlier_share(weights: FloatArray, residual: FloatArray) -> float:
-    """Largest share, over channels, of the used samples beyond the limit of rejection."""
-    bad = np.count_nonzero(beyond_limit(weights, residual), axis=0)
-    used = np.count_nonzero(weights > 0.0, axis=0)
-    return float(np.max(bad / np.maximum(used, 1), initial=0.0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.series import QUICK, decay, pole_of, series_of
 
 from modal_id import IdentifySettings, identify
 
@@ -122,3 +122,22 @@ def close_pair(apart, zeta, beats):
     y = sum(a * np.exp(pole_of(f, zeta) * t + p).real for a, f, p in zip(sizes, truths, phases, strict=True))
     series = series_of(t, y + 0.005 * rng.standard_normal(t.size))
     return identify(series, IdentifySettings(onset_s=0.0, sampler=QUICK)), truths
+
+
+@pytest.mark.parametrize(
+    ("zetas", "other_hz", "amplitude"),
+    [((0.034, 0.0155), 4.82, 0.2), ((0.03, 0.012), 4.80, 0.3), ((0.02, 0.008), 4.75, 0.15)],
+)
+def test_the_small_amplitude_of_a_pair_is_no_more_certain_than_that_it_is_one_mode(
+    zetas, other_hz, amplitude
+):
+    """A law of one mode imitates two that overlap, with values of neither: they were 4 to 16 of their sd from both."""
+    time_s = np.arange(2500) / 100.0
+    noise = 0.002 * np.random.default_rng(0).standard_normal(time_s.size)
+    wave = decay(time_s, 4.71, zetas[0]) + decay(time_s, other_hz, zetas[1], amplitude, 2.0) + noise
+    found = identify(series_of(time_s, wave), IdentifySettings(sampler=QUICK))
+    for mode in found.modes:
+        value, sd = mode.small_amplitude_damping
+        assert min(abs(value - zeta) for zeta in zetas) < 4.0 * sd, (
+            f"{value:.4g} +- {sd:.2g} is neither of {zetas}"
+        )
