@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, fdtrc, ndtri
 
-from modal_id.curve import amplitude_curve
+from modal_id.curve import amplitude_curve, explains
 from modal_id.data import are_many, outlier_share
 from modal_id.fit import AmplitudeFit, ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.posterior.likelihood import REACH_SD, PoleDensity, reduce_mode
@@ -69,8 +69,9 @@ def find_dependence(
     or where the posterior probability of constant values is below 1 %. `own` is the fit that `amplitude_fit` extends,
     as from `own_decay`. `repeating_sd` are the standard deviations of
     frequency (Hz) and damping ratio for errors that repeat with the motion: the curve includes them, and a change of
-    less than three of them is not significant. Where the linear form leaves many outliers, or two
-    modes explain the record better, the standard deviations include the distances to the constant values.
+    less than three of them is not significant. Where no curve explains the record, and two
+    modes do or the linear form leaves many outliers, the standard deviations include the distances to the constant
+    values.
     """
     curve = amplitude_curve(model, index, own)
     varies = False
@@ -83,8 +84,10 @@ def find_dependence(
         varies = _varies(curve, repeating_sd)
     if amplitude_fit is not None:
         found = _linear(model, own, amplitude_fit, noise, index, curve, varies=varies)
-        explained = not are_many(outlier_share(own.data.weights, amplitude_fit.linear.residual))
-        if explained and model.unresolved_near(index) is None:
+        if curve is not None and explains(curve):
+            return found
+        outliers = outlier_share(own.data.weights, amplitude_fit.linear.residual)
+        if not are_many(outliers) and model.unresolved_near(index) is None:
             return found
         pole = model.fit.poles[index]
         return found.doubted(float(frequency_hz(pole)), float(damping_ratio(pole)))
