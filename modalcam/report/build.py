@@ -127,7 +127,7 @@ def build_report(
         "detail": detail,
         "contents": contents,
         "terms": report_terms(),
-        "flag_meanings": {name: text for name, text in flag_meanings().items() if name not in explained},
+        "flag_meanings": flag_meanings(),
         "explained": sorted(explained),
         "r_hat_limit": TUNING.r_hat,
         "sections": list(SECTIONS.values()),

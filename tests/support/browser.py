@@ -59,7 +59,7 @@ def opening(browser, path):
 
 def assert_drawn(page):
     boxes = page.evaluate(
-        "() => [...document.querySelectorAll('svg, img, image')].map(e => {"
+        "() => [...document.querySelectorAll(':is(svg, img, image):not(.paper *)')].map(e => {"
         " const b = e.getBoundingClientRect(); return [e.tagName, b.width, b.height]; })"
     )
     assert boxes

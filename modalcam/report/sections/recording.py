@@ -117,6 +117,7 @@ def recording_view(
         "mode": mode,
         "main": main,
         "participations": [] if found is None else _participations(found),
+        "informing": {flag for m in main for flag in m.flags if m.severity_of(flag) is Severity.INFORMATION},
         "others": [] if found is None else [m for m in found.modes if m not in main],
         "tracks": tracks,
         "comparison": recording.comparison if mode and recording.comparison else None,
