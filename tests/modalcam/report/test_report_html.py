@@ -127,9 +127,9 @@ def test_every_figure_has_a_caption(paper_html):
     assert page.values("role").count("img") == page.tags.count("svg")
     assert page.tags.count("figure") == page.tags.count("svg")
     assert "Damping ratio against frequency" in page.words
-    # Five recordings with ten figures (mode 1: nine, too few cycles for windows), a frame, a strip and a shape in
-    # motion; three of all, and the frames of two recordings.
-    assert page.tags.count("svg") == 5 * 13 - 1 + 3 + 2
+    # Five recordings with ten figures (mode 1: nine, too few cycles for windows), a frame twice, a strip and a shape
+    # in motion; three of all, and the frames of two recordings.
+    assert page.tags.count("svg") == 5 * 14 - 1 + 3 + 2
     # How to read a figure stands once in the page, linked from each.
     assert page.words.count("The residual at the bottom should resemble noise") == 1
     assert page.values("href").count("#read-decay") == 5
