@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from sim.dynamics import SimulationError as SimulationError
     from sim.dynamics import simulate_free_decay as simulate
 
-__version__ = "0.2.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "Beam",
