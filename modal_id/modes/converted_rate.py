@@ -189,6 +189,8 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
             continue
         if kind == "blended" and _independent(fit.residual, mixing) < TUNING.mostly_noise:
             continue
+        if _of_further_mode(record, clock) > evidence:
+            continue
         if not _resembles(record, even, clock, fit):
             return Conversion(kind, clock.ratio, evidence, ~fit.modes)
         if kind == "blended":
@@ -329,6 +331,22 @@ def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFi
     flicker = _flickering(record, even, clock.ratio)
     each = 2.0 if record.predicted else float(np.log(record.values.size))
     return flicker.cost + (flicker.parameters + TUNING.variances - found.parameters) * each < found.cost
+
+
+def _of_further_mode(record: DecayRecord, clock: Clock) -> float:
+    """Evidence for a weak mode that the fit lacks, where the clock has a side band of the strongest one.
+
+    A conversion has side bands on both sides, of which one mode explains one.
+    """
+    even = record.fit(record.evenly(), record.all_modes)
+    found = []
+    for side in (2j, -2j):
+        place = record.poles[record.strongest] + side * np.pi * clock.ratio
+        more = replace(record, poles=np.append(record.poles, place), alike=np.append(record.alike, False))
+        fit = more.fit(more.evenly(), more.all_modes)
+        per_parameter = float(np.log(record.values.size))
+        found.append(even.cost - fit.cost - (fit.parameters - even.parameters) * per_parameter)
+    return max(found)
 
 
 def _flickering(record: DecayRecord, even: ClockFit, cycles: float) -> ClockFit:
