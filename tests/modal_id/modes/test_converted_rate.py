@@ -5,11 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
+from kit.series import QUICK, decay, series_of
 
 from benchmarks.converted_rates import ConvertedCase, answer, cases, outcome
 from benchmarks.film_scenes import Film
 from modal_id import IdentifySettings, ModeFlag, identify
+from modal_id.data import prepare
+from modal_id.fit import find_modes
+from modal_id.modes import conversion
 from tracker import displacement_series, track
 
 FLAG = ModeFlag.RATE_CONVERTED.name
@@ -179,3 +182,13 @@ def test_at_most_one_conversion_in_twenty_is_silent():
     silent = sum(count for (_, result), count in counts.items() if result == "silent")
     assert silent <= 0.05 * 200, counts
     assert counts["none", "flagged"] == 0, counts
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_weak_mode_that_the_fit_lacks_is_no_side_band(seed):
+    """Mode 2 at 1 % of mode 3, one line in the residual: blended frames would have two."""
+    time_s = np.arange(396) / 200.0
+    noise = 0.012 * np.random.default_rng(seed).standard_normal(time_s.size)
+    wave = decay(time_s, 29.253, 0.0028, 1.2) + decay(time_s, 10.59, 0.002, 0.012, 1.0 + seed) + noise
+    model = find_modes(prepare(series_of(time_s, wave)).data, max_modes=1)
+    assert conversion(model, steady_noise=True, predicted=False) is None
