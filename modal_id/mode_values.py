@@ -88,9 +88,11 @@ class Posterior(Table):
         `noise_factor` and systematic parts: a check on the sampler.
     seed : tuple of int
         Seed and spawn key of the random streams.
-    extrapolation_damping_ratio : float
-        Standard deviation from the damping ratio to its limit at zero amplitude, for a dependence on the amplitude
-        that noise hides; the draws, which belong to the record's amplitudes, do not include it.
+    extrapolation_damping_ratio, extrapolation_frequency_hz : float
+        Standard deviations from damping ratio and frequency to their limits at zero amplitude, for a dependence on the
+        amplitude that noise hides; the draws, which belong to the record's amplitudes, do not include them.
+    small_amplitude_shift_hz : float
+        Most probable limit of the frequency at zero amplitude less the frequency, where no dependence is significant.
     sampled : SampledDraws or None
         The draws before they were widened, those of the most informative decay of a record of several.
     """
@@ -109,6 +111,8 @@ class Posterior(Table):
     rate_sd_ppm: float = 0.0
     extrapolation_damping_ratio: float = 0.0
     sampled: SampledDraws | None = None
+    small_amplitude_shift_hz: float = 0.0
+    extrapolation_frequency_hz: float = 0.0
 
     @property
     def frequency_in_record_hz(self) -> FloatArray:

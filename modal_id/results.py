@@ -175,12 +175,15 @@ class IdentifiedMode(Table):
     def small_amplitude_frequency(self) -> tuple[float, float]:
         """Natural frequency of linear theory in Hz and its standard deviation.
 
-        The limit at zero amplitude where the frequency depends on it significantly, `frequency_hz` otherwise.
+        The limit at zero amplitude of a significant dependence. Otherwise nearly `frequency_hz`, the value at the
+        amplitudes of the record: the mean and the standard deviation allow for a dependence that noise hides.
         """
         dependence = self.amplitude_dependence
         if dependence is not None and dependence.significant:
             return dependence.small_amplitude_frequency
-        return self.frequency_hz, self.frequency_sd_hz
+        draws = self.posterior
+        sd = float(np.hypot(self.frequency_sd_hz, draws.extrapolation_frequency_hz))
+        return self.frequency_hz + draws.small_amplitude_shift_hz, sd
 
     @property
     def small_amplitude_damping(self) -> tuple[float, float]:

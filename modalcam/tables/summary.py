@@ -131,7 +131,7 @@ def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
         "sampler": _fields(
             mode.posterior,
             "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "
-            "systematic_damping_ratio extrapolation_damping_ratio laplace_sd seed",
+            "systematic_damping_ratio extrapolation_frequency_hz extrapolation_damping_ratio laplace_sd seed",
         ),
     }
 

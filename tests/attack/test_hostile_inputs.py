@@ -123,7 +123,8 @@ def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, identified):
 def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, in_process, no_figures):
     out = tmp_path / "out"
     path = write_table(tmp_path / "=cmd.csv", text="=1+1\x1b[2J")
-    assert modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')[0] == ExitCode.OK
+    assert modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')[0] == ExitCode.USAGE
+    assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
     for table in out.rglob("*.csv"):
         cells = [cell for line in table.read_text().splitlines() for cell in line.split(",")]
         assert not [cell for cell in cells if cell.lstrip('"')[:1] in ("=", "@", "\t") or "\x1b" in cell]

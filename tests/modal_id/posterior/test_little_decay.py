@@ -1,6 +1,7 @@
 """Records in which the amplitude hardly decreases: damping ratio at their amplitudes, and at small amplitude."""
 
 import numpy as np
+import pytest
 from kit.series import QUICK, series_of
 from scipy.stats import chi2
 
@@ -57,3 +58,20 @@ def test_the_value_at_small_amplitude_allows_for_a_slope_that_noise_hides():
         own_z.append((target.damping_ratio - zeta0) / target.damping_ratio_sd)
     assert np.sum(np.square(small_z)) < MOST, np.round(small_z, 2)
     assert np.sum(np.square(own_z)) > MOST, "the interval of the record's own value would do"
+
+
+@pytest.mark.parametrize("samples", [882, 3200])
+def test_the_frequency_at_small_amplitude_allows_for_a_change_that_noise_hides(samples):
+    """f = f0 (1 - 3e-5 a^2): no dependence is significant, and the constant is up to six of its sd from the limit."""
+    small_z = []
+    for seed in SEEDS:
+        t = np.arange(samples) / 250.0
+        a = np.exp(-ZETA * 2.0 * np.pi * FREQUENCY_HZ * t)
+        turns = FREQUENCY_HZ * np.cumsum(1.0 - 3e-5 * a**2) / 250.0
+        noise = 0.04 * np.random.default_rng(seed).standard_normal(t.size)
+        target = identify(
+            series_of(t, 1.9 * a * np.cos(2.0 * np.pi * turns) + noise), IdentifySettings(sampler=QUICK)
+        ).target
+        value, sd = target.small_amplitude_frequency
+        small_z.append((value - FREQUENCY_HZ) / sd)
+    assert np.sum(np.square(small_z)) < MOST, np.round(small_z, 2)
