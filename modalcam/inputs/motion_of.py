@@ -39,9 +39,17 @@ def motion_of(
         motion["tracks"] = replace(tracks, input=given.input or ())
     else:
         motion["series"] = series_from_table(
-            table, name=name, unit=table.unit or unit, positions_mm=positions_mm
+            _told(table, unit), name=name, unit=table.unit or unit, positions_mm=positions_mm
         )
     return _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
+
+
+def _told(table: Table, unit: str) -> Table:
+    """The table with a note where it states another unit than the one given, "1" where none is."""
+    if table.unit in ("", unit) or unit == "1":
+        return table
+    note = f"The channels state {table.unit} as their unit; --unit {unit} was not used."
+    return replace(table, notes=(*table.notes, note))
 
 
 def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:

@@ -62,7 +62,9 @@ def _channels(path: Path) -> tuple[list[tuple[Any, np.ndarray]], list[str]]:
         msg = "a TDMS file, which needs nptdms; install it with pip install nptdms"
         raise ValueError(msg) from None
     said = io.StringIO()
-    printed = log_manager.console_handler.setStream(said)
+    # not by setStream, which flushes the other stream: that of the first import may be closed
+    handler = log_manager.console_handler
+    printed, handler.stream = handler.stream, said
     try:
         with path.open("rb") as stream, TdmsFile.open(stream) as file:
             found = [c for g in file.groups() for c in g.channels() if c.dtype.kind in REAL_KINDS + _STAMPS]
@@ -73,6 +75,6 @@ def _channels(path: Path) -> tuple[list[tuple[Any, np.ndarray]], list[str]]:
         msg = f"no readable TDMS file ({error})"
         raise ValueError(msg) from error
     finally:
-        log_manager.console_handler.setStream(printed)
+        handler.stream = printed
     lines = sorted(set(said.getvalue().splitlines()))
     return channels, [f"Reader of TDMS files: {line.partition('] ')[2].rstrip('.')}." for line in lines]

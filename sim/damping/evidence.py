@@ -111,7 +111,8 @@ def compare_laws(measured: MeasuredDamping) -> LawComparison | Failure:
     """
     count = len(measured.numbers)
     if count < _LEAST_MODES or not min(measured.damping_ratio) > 0.0:
-        found = f"{count} modes with damping ratios {measured.damping_ratio}"
+        ratios = ", ".join(f"{100.0 * ratio:.3g}" for ratio in measured.damping_ratio)
+        found = f"{count} modes with damping ratios of {ratios} %"
         return Failure(
             f"damping laws need at least {_LEAST_MODES} modes with positive damping ratios, found {found}"
         )

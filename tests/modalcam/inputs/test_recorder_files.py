@@ -65,6 +65,7 @@ def test_the_unit_that_all_channels_state_is_that_of_the_series(tmp_path, hdf5, 
                 file[name].attrs["units"] = unit
     motion = motion_of(path, "a", RecordingConfig(file=path.name), Limits(), unit="mm", rate_hz=None)
     assert motion["series"].unit == ("g" if units == ("g", "g") else "mm")
+    assert any("--unit mm was not used" in note for note in motion["series"].notes) == (units == ("g", "g"))
     assert any("state N, g as their units" in note for note in motion["series"].notes) == ("N" in units)
 
 
