@@ -5,7 +5,7 @@ Quantities that cannot be in the unit of their key, such as a length in metres u
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -61,30 +61,27 @@ class Tuning:
 TUNING = Tuning()
 
 
-def unit_problem(
+def unit_problems(
     length_mm: float | None,
     width_mm: float | None,
     thickness_mm: float | None,
     density_kg_m3: float | None,
     elastic_modulus_mpa: float | None,
-) -> str | None:
-    """Sentence about a property of a beam that cannot be in the unit of its key, with the likely unit, or None."""
-    material = _material(density_kg_m3, elastic_modulus_mpa)
-    if material is not None or thickness_mm is None:
-        return material
+) -> Iterator[str]:
+    """Sentences about properties of a beam that cannot be in the units of their keys, with the likely ones."""
+    yield from _of_material(density_kg_m3, elastic_modulus_mpa)
     for name, value, (least, most) in (
         ("length_mm", length_mm, (TUNING.least_length, TUNING.most_length)),
         ("width_mm", width_mm, (TUNING.least_width, TUNING.most_width)),
     ):
-        if value is None or least <= value / thickness_mm <= most:
+        if value is None or thickness_mm is None or least <= value / thickness_mm <= most:
             continue
         small, large = (name, "thickness_mm") if value < least * thickness_mm else ("thickness_mm", name)
         size = {name: value, "thickness_mm": thickness_mm}
-        return (
+        yield (
             f"{name} = {value:g} and thickness_mm = {thickness_mm:g} are not those of a beam that bends; if {small} is "
             f"in metres, write {1e3 * size[small]:g}; if {large} is in micrometres, write {1e-3 * size[large]:g}"
         )
-    return None
 
 
 def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | None:
@@ -99,27 +96,26 @@ def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | N
     )
 
 
-def _material(density_kg_m3: float | None, elastic_modulus_mpa: float | None) -> str | None:
+def _of_material(density_kg_m3: float | None, elastic_modulus_mpa: float | None) -> Iterator[str]:
     if density_kg_m3 is not None and not TUNING.least_density <= density_kg_m3 <= TUNING.most_density:
         unit, factor = ("g/cm3", 1e3) if density_kg_m3 < TUNING.least_density else ("g/m3", 1e-3)
-        return (
-            f"density_kg_m3 = {density_kg_m3:g} is that of no material of beams; if it is in {unit}, write "
-            f"{factor * density_kg_m3:g}"
+        density_kg_m3, found = factor * density_kg_m3, density_kg_m3
+        yield (
+            f"density_kg_m3 = {found:g} is that of no material of beams; if it is in {unit}, write {density_kg_m3:g}"
         )
     if elastic_modulus_mpa is None:
-        return None
+        return
     if elastic_modulus_mpa > TUNING.most_modulus:
-        return (
+        yield (
             f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material; if it is in Pa, write "
             f"{1e-6 * elastic_modulus_mpa:g}"
         )
     dense = density_kg_m3 is not None and density_kg_m3 >= TUNING.dense
     if elastic_modulus_mpa < (TUNING.softest_dense if dense else TUNING.least_modulus):
-        return (
+        yield (
             f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material"
             f"{f' of {density_kg_m3:g} kg/m3' if dense else ''}; if it is in GPa, write {1e3 * elastic_modulus_mpa:g}"
         )
-    return None
 
 
 class PointMassConfig(Options):
@@ -222,13 +218,13 @@ class BeamConfig(Options):
 
     @model_validator(mode="after")
     def _in_the_units_of_the_keys(self) -> BeamConfig:
+        found: list[str] = []
         for one in (None, *self.sections):
-            width, thickness = self.section(one)
-            problem = unit_problem(
-                self.length_mm, width, thickness, self.density_kg_m3, self.elastic_modulus_mpa
+            found += unit_problems(
+                self.length_mm, *self.section(one), self.density_kg_m3, self.elastic_modulus_mpa
             )
-            if problem is not None:
-                raise ValueError(problem)
+        if found:
+            raise ValueError("; ".join(dict.fromkeys(found)))
         return self
 
     def section(self, change: SectionConfig | None) -> tuple[float | None, float | None]:
