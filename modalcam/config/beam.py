@@ -1,11 +1,8 @@
-"""The beam of `experiment.toml`: its keys, their checks, and its properties element by element.
-
-Quantities that cannot be in the unit of their key, such as a length in metres under `length_mm`, are refused.
-"""
+"""The beam of `experiment.toml`: its keys, their checks, and its properties element by element."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,74 +11,21 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from modalcam.common import ConfigError
-from sim.beam import BeamProperties, ElasticClamp, End, PointMass
+from sim.beam import BeamProperties, ElasticClamp, End, PointMass, unit_problems
 from sim.damping import Material
 from tracker import Finite, FloatArray, Length, NonNegative, Options, Positive
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Properties beyond which a value is taken to be in another unit, and the mesh of a beam whose section changes."""
+    """The mesh of a beam whose section changes."""
 
-    #: [kg/m3] a smaller density is refused
-    #: physics: Foams for models begin there.
-    least_density: float = 10.0
-    #: [kg/m3] a larger density is refused
-    #: physics: The densest metals end at 22 600 kg/m3.
-    most_density: float = 30_000.0
-    #: [MPa] a smaller modulus is refused
-    #: physics: Soft rubber has 0.1 MPa.
-    least_modulus: float = 1e-3
-    #: [MPa] a larger modulus is refused
-    #: physics: Diamond has 1.2e6 MPa.
-    most_modulus: float = 2e6
-    #: [kg/m3] from this density on the modulus is at least `softest_dense`
-    #: physics: No material that is denser than light metals is softer.
-    dense: float = 2500.0
-    #: [MPa] a smaller modulus of a dense material is refused
-    #: physics: As for `dense`.
-    softest_dense: float = 1000.0
-    #: [thicknesses] a shorter beam is refused
-    #: physics: It is no thin beam.
-    least_length: float = 3.0
-    #: [thicknesses] a longer beam is refused
-    #: physics: A tape of 1 m and 0.01 mm has 1e5.
-    most_length: float = 3e5
-    #: [thicknesses] a narrower beam is refused
-    #: physics: It bends in the other plane.
-    least_width: float = 0.05
-    #: [thicknesses] a wider beam is refused
-    #: physics: A foil of 0.3 m and 0.01 mm has 3e4.
-    most_width: float = 3e4
     #: [length] distance between a change of section and a boundary of elements that is no distance
     #: physics: A frequency changes by as much at most; positions in mm have such digits.
     rounding: float = 1e-5
 
 
 TUNING = Tuning()
-
-
-def unit_problems(
-    length_mm: float | None,
-    width_mm: float | None,
-    thickness_mm: float | None,
-    density_kg_m3: float | None,
-    elastic_modulus_mpa: float | None,
-) -> Iterator[str]:
-    """Sentences about properties of a beam that cannot be in the units of their keys, with the likely ones."""
-    yield from _of_material(density_kg_m3, elastic_modulus_mpa)
-    for name, value, (least, most) in (
-        ("length_mm", length_mm, (TUNING.least_length, TUNING.most_length)),
-        ("width_mm", width_mm, (TUNING.least_width, TUNING.most_width)),
-    ):
-        if value is None or thickness_mm is None or least <= value / thickness_mm <= most:
-            continue
-        small, large = (name, "thickness_mm") if value < least * thickness_mm else ("thickness_mm", name)
-        size = {name: value, "thickness_mm": thickness_mm}
-        yield (
-            f"{name} = {value:g} and thickness_mm = {thickness_mm:g} are not those of a beam that bends; if {small} is "
-            f"in metres, write {1e3 * size[small]:g}; if {large} is in micrometres, write {1e-3 * size[large]:g}"
-        )
 
 
 def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | None:
@@ -94,28 +38,6 @@ def position_problem(positions_mm: Sequence[float], length_mm: float) -> str | N
         f"markers.positions_mm: a marker at {furthest:g} mm from the clamp lies beyond the end of the beam "
         f"(beam.length_mm = {length_mm:g}){likely}"
     )
-
-
-def _of_material(density_kg_m3: float | None, elastic_modulus_mpa: float | None) -> Iterator[str]:
-    if density_kg_m3 is not None and not TUNING.least_density <= density_kg_m3 <= TUNING.most_density:
-        unit, factor = ("g/cm3", 1e3) if density_kg_m3 < TUNING.least_density else ("g/m3", 1e-3)
-        density_kg_m3, found = factor * density_kg_m3, density_kg_m3
-        yield (
-            f"density_kg_m3 = {found:g} is that of no material of beams; if it is in {unit}, write {density_kg_m3:g}"
-        )
-    if elastic_modulus_mpa is None:
-        return
-    if elastic_modulus_mpa > TUNING.most_modulus:
-        yield (
-            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material; if it is in Pa, write "
-            f"{1e-6 * elastic_modulus_mpa:g}"
-        )
-    dense = density_kg_m3 is not None and density_kg_m3 >= TUNING.dense
-    if elastic_modulus_mpa < (TUNING.softest_dense if dense else TUNING.least_modulus):
-        yield (
-            f"elastic_modulus_mpa = {elastic_modulus_mpa:g} is that of no material"
-            f"{f' of {density_kg_m3:g} kg/m3' if dense else ''}; if it is in GPa, write {1e3 * elastic_modulus_mpa:g}"
-        )
 
 
 class PointMassConfig(Options):

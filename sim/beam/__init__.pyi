@@ -29,3 +29,4 @@ from .statics import BuckledBeamError as BuckledBeamError
 from .statics import NoEquilibriumError as NoEquilibriumError
 from .statics import static_equilibrium as static_equilibrium
 from .statics import stiffness as stiffness
+from .units import unit_problems as unit_problems

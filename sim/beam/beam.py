@@ -20,6 +20,7 @@ from sim.beam.properties import (
     PointMass,
 )
 from sim.beam.statics import static_equilibrium
+from sim.beam.units import unit_problems
 from tracker import FloatArray, checked, data_frame
 
 if TYPE_CHECKING:
@@ -235,7 +236,8 @@ class Beam:
     Raises
     ------
     ValueError
-        If a dimension is not finite and positive, or the values do not match each other.
+        If a dimension is not finite and positive, cannot be in the unit of its name, or the values do not match each
+        other.
 
     Examples
     --------
@@ -269,6 +271,12 @@ class Beam:
             if np.shape(getattr(self, name)) not in ((), (self.elements,)):
                 msg = f"{name} must be one number or one per element ({self.elements}), got {getattr(self, name)}"
                 raise ValueError(msg)
+        width, thickness = float(np.max(self.width_mm)), float(np.max(self.thickness_mm))
+        problems = unit_problems(
+            self.length_mm, width, thickness, self.density_kg_m3, self.elastic_modulus_mpa
+        )
+        if found := "; ".join(problems):
+            raise ValueError(found)
         # the remaining checks are those of the properties
         self.properties  # noqa: B018
 

@@ -64,3 +64,10 @@ def test_modes_are_plotted_on_the_given_axes():
     assert modes.plot(ax) is ax
     assert len(ax.lines) == 2
     assert max(np.max(np.abs(line.get_ydata())) for line in ax.lines) == 1.0
+
+
+def test_a_beam_in_other_units_is_refused_with_the_likely_ones():
+    with pytest.raises(
+        ValueError, match=r"in g/cm3, write 8000; .* in Pa, write 210000; .* in metres, write 500"
+    ):
+        Beam(length_mm=0.5, width_mm=5, thickness_mm=0.5, density_kg_m3=8.0, elastic_modulus_mpa=210e9)
