@@ -245,7 +245,7 @@ def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode,
     """Measured modes in order of number.
 
     A mode is taken from the recordings in which it was excited; only if there is none, from others in which it has a
-    MAC of at least 0.95 with the theoretical shape.
+    MAC of at least 0.95 with the theoretical shape and no flag of a wrong value.
     """
     by_number: dict[int, list[_Identified]] = {}
     for recording in recordings:
@@ -257,7 +257,8 @@ def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode,
     combined = []
     for number, found in sorted(by_number.items()):
         targets = [one for one in found if one.mode.target]
-        usable = targets or [one for one in found if one.mode.mac >= TUNING.least_mac]
+        others = [one for one in found if one.mode.mac >= TUNING.least_mac and not one.mode.wrong_flags]
+        usable = targets or others
         if usable:
             combined.append(_combine(number, usable))
     return tuple(combined)
@@ -305,9 +306,10 @@ def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
 def _own_sd_hz(mode: IdentifiedMode) -> float:
     """Standard deviation of the frequency at small amplitude without the error of the frame rate."""
     frequency_hz, sd_hz = mode.small_amplitude_frequency
-    if frequency_hz == mode.frequency_hz:
-        return float(np.std(mode.posterior.frequency_in_record_hz))
-    rate_sd_hz = 1e-6 * mode.posterior.rate_sd_ppm * frequency_hz
+    dependence, draws = mode.amplitude_dependence, mode.posterior
+    if dependence is None or not dependence.significant:
+        return float(np.hypot(np.std(draws.frequency_in_record_hz), draws.extrapolation_frequency_hz))
+    rate_sd_hz = 1e-6 * draws.rate_sd_ppm * frequency_hz
     return float(np.sqrt(max(sd_hz**2 - rate_sd_hz**2, 0.0)))
 
 
