@@ -3,7 +3,7 @@ from .amplitude_dependence import AmplitudeFit as AmplitudeFit
 from .amplitude_dependence import fit_amplitude_dependence as fit_amplitude_dependence
 from .amplitude_dependence import nonlinear_decay as nonlinear_decay
 from .damped import MAX_DAMPING as MAX_DAMPING
-from .model_order import ModalFit as ModalFit
+from .modal_fit import ModalFit as ModalFit
 from .model_order import find_modes as find_modes
 from .model_order import refit as refit
 from .named_lines import with_named as with_named

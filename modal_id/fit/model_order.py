@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -21,7 +20,8 @@ from modal_id.data import (
 )
 from modal_id.fit.amplitude_dependence import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
-from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz, residual_spectrum
+from modal_id.fit.modal_fit import OWN_BAND, ModalFit
+from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
 from modal_id.solve import (
     LinearSolution,
     ModeColumns,
@@ -170,71 +170,7 @@ def _leak(spectrum: ResidualSpectrum, span_s: float, modes_hz: FloatArray) -> fl
     return worst
 
 
-# A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
-OWN_BAND = 0.03
 BASELINE_GUARD = 1.3
-
-
-@dataclass(frozen=True)
-class ModalFit:
-    """All modes that exceed the noise, fitted together.
-
-    Attributes
-    ----------
-    problem : Problem
-        Data with outliers at weight 0, and baseline.
-    fit : PoleFit
-        Poles in order of frequency.
-    bandwidth_hz, least_bandwidth_hz : float
-        Of the baseline, and what slow motion requires of it, as far as the lowest mode allows.
-    unresolved : tuple of complex array, shape (1,) or (2,)
-        Poles of pairs that explain the data better than one mode, too close to be resolved; of one of them where the
-        other has less than a quarter of its amplitude.
-    repeating : array, shape (2 m, 2 m), or None
-        Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
-    added_hz : tuple of float
-        Frequencies named by the user at which a mode was fitted that the search had not found.
-    refused : tuple of (float, str)
-        Frequencies named by the user at which none was fitted, with the reason.
-    """
-
-    problem: Problem
-    fit: PoleFit
-    bandwidth_hz: float
-    unresolved: tuple[ComplexArray, ...] = ()
-    least_bandwidth_hz: float = 0.0
-    repeating: FloatArray | None = None
-    added_hz: tuple[float, ...] = ()
-    refused: tuple[tuple[float, str], ...] = ()
-
-    @property
-    def data(self) -> FitData:
-        """Samples, with outliers at weight 0."""
-        return self.problem.data
-
-    @property
-    def energy(self) -> FloatArray:
-        """Energy of each mode in the record, channels weighted by their noise."""
-        linear, poles = self.fit.linear, self.fit.poles
-        power = np.sum(np.abs(linear.amplitudes) ** 2 / linear.noise_variance, axis=1)
-        return np.asarray(power / np.maximum(np.abs(poles.real), 1.0 / max(self.data.span_s, 1e-300)))
-
-    @property
-    def strongest(self) -> int:
-        """Index of the mode with most energy in the record."""
-        return int(np.argmax(self.energy))
-
-    def unresolved_near(self, index: int) -> ComplexArray | None:
-        """Poles of the unresolved pair that the mode with this index represents; None where it is one mode."""
-        own = float(frequency_hz(self.fit.poles)[index])
-        near = [pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < OWN_BAND]
-        return near[-1] if near else None
-
-    @cached_property
-    def spectrum(self) -> ResidualSpectrum:
-        """Spectrum of the residual."""
-        linear = self.fit.linear
-        return residual_spectrum(self.data, linear.residual, linear.noise_variance)
 
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:

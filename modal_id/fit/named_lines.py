@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
+from modal_id.fit.modal_fit import OWN_BAND, ModalFit
 from modal_id.fit.model_order import (
     BASELINE_GUARD,
-    OWN_BAND,
-    ModalFit,
     is_significant,
     refit,
     start_pole,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.fit.model_order import ModalFit
+from modal_id.fit.modal_fit import ModalFit
 from modal_id.solve import ModeColumns, Problem, frequency_hz, motion, solve_linear, thinning
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from modal_id.data import Projection
-from modal_id.fit.model_order import ModalFit, refit
+from modal_id.fit.modal_fit import ModalFit
+from modal_id.fit.model_order import refit
 from modal_id.solve import pole_slopes
 from tracker import ComplexArray, DisplacementSeries, FloatArray, PositionErrors, ScaleChange
 

@@ -1,12 +1,12 @@
 from .cramer_rao import ModalBound as ModalBound
 from .cramer_rao import modal_bound as modal_bound
+from .dependence import LITTLE_DECAY as LITTLE_DECAY
+from .dependence import MUCH_LEFT as MUCH_LEFT
+from .dependence import left_at_mode as left_at_mode
 from .likelihood import TiledLikelihood as TiledLikelihood
 from .likelihood import reduce_mode as reduce_mode
-from .mode_posterior import LITTLE_DECAY as LITTLE_DECAY
-from .mode_posterior import MUCH_LEFT as MUCH_LEFT
 from .mode_posterior import SampledMode as SampledMode
 from .mode_posterior import determine_mode as determine_mode
-from .mode_posterior import left_at_mode as left_at_mode
 from .mode_posterior import sample_mode as sample_mode
 from .mode_posterior import widened as widened
 from .mode_posterior import with_rate_error as with_rate_error

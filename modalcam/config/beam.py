@@ -77,6 +77,7 @@ class SectionConfig(Options):
     )
 
 
+_MOST_ELEMENTS = 1000
 REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
 
 
@@ -112,7 +113,7 @@ class BeamConfig(Options):
         description='Angle from hanging, counter-clockwise, for orientation "angled".',
         examples=[30.0],
     )
-    elements: int = Field(default=20, ge=2, le=1000, description="Number of finite elements.")
+    elements: int = Field(default=20, ge=2, le=_MOST_ELEMENTS, description="Number of finite elements.")
     sections: tuple[SectionConfig, ...] = Field(default=(), description="Changes of section.")
     point_masses: tuple[PointMassConfig, ...] = Field(default=(), description="Masses fixed to the beam.")
     clamp: ClampConfig | None = Field(default=None, description="Elastic clamp.")
@@ -212,7 +213,7 @@ def _of_elements(beam: BeamConfig) -> tuple[FloatArray, FloatArray]:
     exact = np.array(starts_mm) / length_mm
     first = _boundaries(exact, count)
     if first is None:
-        finer = next((n for n in range(count, 1001) if _boundaries(exact, n) is not None), None)
+        finer = next((n for n in range(count, _MOST_ELEMENTS + 1) if _boundaries(exact, n) is not None), None)
         off = next(start for start in starts_mm if _boundaries(np.array([start]) / length_mm, count) is None)
         size = length_mm / count
         msg = (

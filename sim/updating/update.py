@@ -294,7 +294,8 @@ def _coarse(properties: BeamProperties) -> BeamProperties:
     fine = properties.elements
     if fine <= TUNING.most_elements:
         return properties
-    changes = 1 + np.flatnonzero(np.diff(properties.width_m) + 1j * np.diff(properties.thickness_m))
+    differ = (np.diff(properties.width_m) != 0.0) | (np.diff(properties.thickness_m) != 0.0)
+    changes = 1 + np.flatnonzero(differ)
     smooth = changes.size == fine - 1
     counts = range(TUNING.most_elements, fine + 1)
     count = next(n for n in counts if smooth or not np.any(changes * n % fine))
