@@ -32,7 +32,7 @@ from modal_id.modes import (
     within_errors,
 )
 from modal_id.pieces import mean_scatter_rad_s
-from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_mode
+from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_modes
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
@@ -63,10 +63,8 @@ def assemble(
     # Sampling needs most memory: it precedes the allocation of the arrays below.
     rejected = rejected_modes(frequency_hz(poles), settings)
     sampled = [
-        FailedMode(_REJECTED, frequency_hz=float(frequency_hz(poles)[index]))
-        if rejected[index]
-        else sample_mode(model, index, settings)
-        for index in range(poles.size)
+        FailedMode(_REJECTED, frequency_hz=float(hz)) if outcome is None else outcome
+        for hz, outcome in zip(frequency_hz(poles), sample_modes(model, ~rejected, settings), strict=True)
     ]
     everything = _all_channels(prepared, fitted)
     complete, linear = everything.data, everything.linear

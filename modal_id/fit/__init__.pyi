@@ -2,6 +2,7 @@ from . import position_errors as position_errors
 from .amplitude_dependence import AmplitudeFit as AmplitudeFit
 from .amplitude_dependence import fit_amplitude_dependence as fit_amplitude_dependence
 from .amplitude_dependence import nonlinear_decay as nonlinear_decay
+from .amplitude_dependence import with_constant_pole as with_constant_pole
 from .damped import MAX_DAMPING as MAX_DAMPING
 from .modal_fit import ModalFit as ModalFit
 from .model_order import find_modes as find_modes

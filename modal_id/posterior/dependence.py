@@ -215,7 +215,8 @@ def frequency_limit(
     prior, record = (TUNING.frequency_prior * frequency_hz) ** -2.0, 0.0
     if dependence is not None:
         record = dependence.f2_sd_hz**-2.0
-    weight = left ** (2.0 * _PARTS)
+    # nothing is left of a strong decay in a long record
+    weight = max(left, 1e-300) ** (2.0 * _PARTS)
     phase = (np.cumsum(weight) - 0.5 * weight) / _PARTS.size
     at = _PARTS - np.average(_PARTS, weights=weight)
     share = float(np.sum(weight * at * phase) / np.sum(weight * at**2))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
+from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay, with_constant_pole
 from modal_id.posterior.dependence import (
     LITTLE_DECAY,
     MUCH_LEFT,
@@ -32,7 +32,7 @@ from modal_id.results import (
 )
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
-from tracker import ComplexArray, FloatArray
+from tracker import BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,23 @@ class SampledMode:
     posterior: Posterior
     dependence: AmplitudeDependence | None
     long_enough: bool
+
+
+def sample_modes(
+    model: ModalFit, wanted: BoolArray, settings: IdentifySettings
+) -> tuple[SampledMode | FailedMode | None, ...]:
+    """Posteriors of the modes that the mask names, None for the others.
+
+    In order of their energy: what depends on its amplitude does not disturb those that follow.
+    """
+    found: list[SampledMode | FailedMode | None] = [None] * wanted.size
+    for index in np.argsort(-model.energy, kind="stable").tolist():
+        if wanted[index]:
+            one = found[index] = sample_mode(model, index, settings)
+            bent = isinstance(one, SampledMode) and one.dependence is not None and one.dependence.significant
+            if bent and wanted.size > 1:
+                model = with_constant_pole(model, index)
+    return tuple(found)
 
 
 def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
