@@ -9,12 +9,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from modal_id.curve.laws import Law, Rates
+from modal_id.solve import maximum, shortened
 from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Integration of the amplitude, convergence of a law."""
+    """Integration of the amplitude."""
 
     #: [1] depth, in log amplitude below the largest, beyond which rates are those at zero amplitude
     #: physics: exp(-14) = 8e-7 of the largest.
@@ -25,19 +26,6 @@ class Tuning:
     deeper: float = 1.5
     #: [1] largest number of times that the depth is increased
     attempts: int = 8
-    #: [1] largest number of iterations
-    max_iterations: int = 40
-    #: [1] largest number of halvings of a step
-    max_halvings: int = 10
-    #: [1] twice the gain in log posterior density of a further step below which the fit has converged
-    #: statistics: A step of a thirtieth of a standard deviation.
-    converged: float = 1e-3
-    #: [1] the same where no step succeeds because of rounding or the quadrature
-    #: statistics: A step of a fifth of a standard deviation.
-    converged_to_rounding: float = 0.05
-    #: [1] condition number above which the fit has failed
-    #: physics: Rounding of 1e-16 leaves two digits.
-    max_condition: float = 1e14
 
 
 TUNING = Tuning()
@@ -227,33 +215,13 @@ class LawFit:
 def fit_law(
     law: Law, time_s: FloatArray, measured: ComplexArray, variance: FloatArray, start: FloatArray
 ) -> LawFit | None:
-    """Gauss-Newton; None where it does not converge or the blocks do not determine the parameters.
+    """None where it does not converge or the blocks do not determine the parameters.
 
     `measured`, shape (b,), are complex amplitudes, `variance` that of their real and of their imaginary part.
     """
     fitting = _Fitting(law, time_s, measured, variance)
-    now = fitting.at(start)
-    for _ in range(TUNING.max_iterations):
-        if now is None:
-            return None
-        normal, pull = fitting.normal(now)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        scaled = normal * np.outer(scale, scale)
-        if not np.all(np.isfinite(scaled)):
-            return None
-        values, vectors = np.linalg.eigh(scaled)
-        if values[0] <= values[-1] / TUNING.max_condition:
-            return None
-        vectors *= scale[:, None]
-        covariance = np.asarray((vectors / values) @ vectors.T)
-        step = covariance @ pull
-        better = None if float(pull @ step) < TUNING.converged else fitting.move(now, step)
-        if better is None:
-            if float(pull @ step) > TUNING.converged_to_rounding:
-                return None
-            return fitting.result(now, covariance, normal)
-        now = better
-    return None
+    best = maximum(fitting.at(start), fitting.normal, fitting.move)
+    return None if best is None else fitting.result(*best)
 
 
 @dataclass(frozen=True)
@@ -305,19 +273,18 @@ class _Fitting:
         return normal, pull
 
     def move(self, now: _At, step: FloatArray) -> _At | None:
-        for _ in range(TUNING.max_halvings):
-            trial = self.solve(now.values + step)
-            if trial is not None and trial.objective < now.objective:
-                return trial
-            step = 0.4 * step
-        return None
+        def trial(shorter: FloatArray) -> _At | None:
+            one = self.solve(now.values + shorter)
+            return one if one is not None and one.objective < now.objective else None
 
-    def result(self, now: _At, covariance: FloatArray, normal: FloatArray) -> LawFit:
+        return shortened(step, trial)
+
+    def result(self, now: _At, covariance: FloatArray) -> LawFit:
         own = np.einsum("bi,ij,bj->b", now.slopes, covariance, np.conj(now.slopes))
         finite = self.law.prior_sd[np.isfinite(self.law.prior_sd)]
         # Parameters with a flat prior are common to all laws: their factor cancels.
         log_evidence = (
-            -now.objective - 0.5 * float(np.linalg.slogdet(normal)[1]) - float(np.sum(np.log(finite)))
+            -now.objective + 0.5 * float(np.linalg.slogdet(covariance)[1]) - float(np.sum(np.log(finite)))
         )
         return LawFit(
             self.law,

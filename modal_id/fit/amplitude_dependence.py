@@ -22,11 +22,13 @@ from modal_id.solve import (
     fit_poles,
     frequency_hz,
     gauss_newton,
+    maximum,
     no_columns,
     normal_equations,
     objective,
     own_problem,
     real_columns,
+    shortened,
     slope_weights,
     solve_linear,
     thinning,
@@ -36,21 +38,8 @@ from tracker import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Convergence of the fit of damping that depends on the amplitude, pairs of close modes."""
+    """Pairs of close modes."""
 
-    #: [1] largest number of iterations of the fit
-    max_iterations: int = 25
-    #: [1] largest number of halvings of a step
-    max_halvings: int = 8
-    #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
-    #: statistics: A step of a thirtieth of a standard deviation.
-    converged: float = 1e-3
-    #: [1] the same where rounding lets no step succeed
-    #: statistics: A step of a fifth of a standard deviation.
-    converged_to_rounding: float = 0.05
-    #: [1] condition of the normal equations above which the fit has failed
-    #: physics: Rounding of 1e-16 leaves four digits.
-    max_condition: float = 1e12
     #: [1] distance from the fitted mode, over its frequency, within which a pair is tried
     #: convention: The selection of the order covers the rest.
     reach: float = 0.04
@@ -264,29 +253,26 @@ def with_constant_pole(model: ModalFit, mode: int) -> ModalFit:
 def _gauss_newton(
     problem: Problem, others: ModeColumns, start: FloatArray, power: int
 ) -> AmplitudeFit | None:
-    found = _solve(problem, start, others, power)
-    for _ in range(TUNING.max_iterations):
-        if found is None:
+    def solved(parameters: FloatArray) -> _Solved | None:
+        decay = nonlinear_decay(problem.data.time_s, parameters, power)
+        if decay is None:
             return None
-        tangent = found.tangent()
-        information, gradient = normal_equations(problem, found.linear, *tangent)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-        scaled = information * np.outer(scale, scale)
-        if not np.all(np.isfinite(information)) or np.linalg.cond(scaled) > TUNING.max_condition:
-            return None
-        covariance = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=float)
-        step = covariance @ gradient
-        gain = float(gradient @ step)
-        moved = None if gain < TUNING.converged else _move(problem, step, others, found)
-        if moved is None:
-            converged = gain < TUNING.converged_to_rounding
-            return (
-                AmplitudeFit(problem, found.parameters, covariance, found.linear, *tangent, power)
-                if converged
-                else None
-            )
-        found = moved
-    return None
+        return _Solved(parameters, solve_linear(problem, Beside((decay[0], others))), decay[1])
+
+    def moved(now: _Solved, step: FloatArray) -> _Solved | None:
+        before = objective(problem.data, now.linear)
+
+        def trial(shorter: FloatArray) -> _Solved | None:
+            one = solved(now.parameters + shorter)
+            return one if one is not None and objective(problem.data, one.linear) < before else None
+
+        return shortened(step, trial)
+
+    best = maximum(solved(start), lambda now: normal_equations(problem, now.linear, *now.tangent()), moved)
+    if best is None:
+        return None
+    found, covariance = best
+    return AmplitudeFit(problem, found.parameters, covariance, found.linear, *found.tangent(), power)
 
 
 @dataclass(frozen=True)
@@ -298,24 +284,6 @@ class _Solved:
     def tangent(self) -> tuple[DecayColumns, FloatArray]:
         first = np.broadcast_to(self.linear.amplitudes[0], (4, self.linear.amplitudes.shape[1]))
         return self.slopes, slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
-
-
-def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns, power: int) -> _Solved | None:
-    decay = nonlinear_decay(problem.data.time_s, parameters, power)
-    if decay is None:
-        return None
-    wave, slopes = decay
-    return _Solved(parameters, solve_linear(problem, Beside((wave, others))), slopes)
-
-
-def _move(problem: Problem, step: FloatArray, others: ModeColumns, now: _Solved) -> _Solved | None:
-    before = objective(problem.data, now.linear)
-    for _ in range(TUNING.max_halvings):
-        trial = _solve(problem, now.parameters + step, others, now.slopes.power)
-        if trial is not None and objective(problem.data, trial.linear) < before:
-            return trial
-        step = 0.4 * step
-    return None
 
 
 _GUESSES = (0.5, 1.0, 2.0, 4.0)

@@ -11,6 +11,7 @@ from modal_id.response.columns import PER_MODE, Samples
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
+from modal_id.solve import shortened
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -20,8 +21,6 @@ class Tuning:
 
     #: [1] largest number of steps of the poles in a search
     search_steps: int = 12
-    #: [1] largest number of halvings of such a step
-    halvings: int = 8
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5
@@ -182,13 +181,14 @@ class Weighted:
             information += own.T @ own / self.rss[out]
             gradient += own.T @ self.residual[:, out] / self.rss[out]
         change = _limited(np.linalg.pinv(information) @ gradient, self.poles, self.samples)
-        for _ in range(TUNING.halvings):
-            if is_mode(self.poles + change).all():
-                trial = Weighted(self.samples, self.poles + change, self._weights)
-                if trial.score < self.score:
-                    return trial
-            change = 0.4 * change
-        return None
+
+        def trial(shorter: ComplexArray) -> Weighted | None:
+            if not is_mode(self.poles + shorter).all():
+                return None
+            moved = Weighted(self.samples, self.poles + shorter, self._weights)
+            return moved if moved.score < self.score else None
+
+        return shortened(change, trial)
 
     def converged(self) -> Weighted:
         """After as many steps as help."""

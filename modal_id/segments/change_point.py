@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data import FitData
-from modal_id.solve import LongArray, PoleFit, Problem, fit_poles, real_columns
+from modal_id.solve import LongArray, PoleFit, Problem, fit_poles, real_columns, shortened
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -28,8 +28,6 @@ class Tuning:
     ridge: float = 1e-12
     #: [1] largest number of steps of the fit
     max_steps: int = 40
-    #: [1] largest number of halvings of a step
-    halvings: int = 8
     #: [1] relative step of the numerical derivatives
     difference: float = 1e-4
     #: [samples] samples required on each side of the instant
@@ -176,14 +174,14 @@ def descend(problem: PiecewiseProblem, start: PiecewiseFit, max_steps: int = _MA
 
 def _line_search(problem: PiecewiseProblem, best: PiecewiseFit, step: FloatArray) -> PiecewiseFit | None:
     step = step * min(1.0, problem.stride / max(abs(float(step[0])), 1e-300))
-    for _ in range(TUNING.halvings):
-        trial = best.nonlinear + step * problem.scale
-        trial[0] = _bounds(problem, trial[0], trial[0])[0]
-        moved = solve(problem, trial)
-        if moved is not None and moved.chi_square < best.chi_square:
-            return moved
-        step = 0.4 * step
-    return None
+
+    def trial(shorter: FloatArray) -> PiecewiseFit | None:
+        at = best.nonlinear + shorter * problem.scale
+        at[0] = _bounds(problem, at[0], at[0])[0]
+        moved = solve(problem, at)
+        return moved if moved is not None and moved.chi_square < best.chi_square else None
+
+    return shortened(step, trial)
 
 
 def instant_sd(problem: PiecewiseProblem, best: PiecewiseFit) -> float:

@@ -7,6 +7,8 @@ from .linear import LinearSolution as LinearSolution
 from .linear import Problem as Problem
 from .linear import solve_linear as solve_linear
 from .linear import without_fit as without_fit
+from .maximum import maximum as maximum
+from .maximum import shortened as shortened
 from .poles import PoleFit as PoleFit
 from .poles import damping_ratio as damping_ratio
 from .poles import fit_poles as fit_poles

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from modal_id.data import FitData
 from modal_id.solve.cholesky import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, projected_grams, solve_linear
+from modal_id.solve.maximum import shortened
 from modal_id.solve.waves import ModeColumns, TimesTime, motion
 from modal_id.solve.weighting import LongArray
 from tracker import ComplexArray, FloatArray
@@ -60,8 +61,6 @@ class Tuning:
     max_iterations: int = 40
     #: [1] largest number of iterations in a search
     search_iterations: int = 15
-    #: [1] largest number of halvings of a step
-    max_halvings: int = 10
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.
     step_tolerance: float = 2e-3
@@ -215,22 +214,24 @@ def _line_search(
     problem: Problem, poles: ComplexArray, linear: LinearSolution, step: FloatArray
 ) -> tuple[ComplexArray, LinearSolution] | None:
     data = problem.data
-    change = step[0::2] + 1j * step[1::2]
+    change: ComplexArray = np.asarray(step[0::2] + 1j * step[1::2])
     # The linearisation does not hold for a phase change of more than a radian over the record.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
     change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
     least, most = -TUNING.most_rate_per_sample / data.step_s, TUNING.most_growth / max(data.span_s, 1e-300)
     now = objective(data, linear)
-    for _ in range(TUNING.max_halvings):
-        trial = poles + change
+
+    def trial(shorter: ComplexArray) -> tuple[ComplexArray, LinearSolution] | None:
+        moved = poles + shorter
         # A pole and its conjugate describe the same motion; a long step of a strongly damped mode may reach the latter.
-        trial.imag = np.abs(trial.imag)
-        if np.all((trial.real > least) & (trial.real < most)):
-            solved = solve_linear(problem, ModeColumns(data.time_s, trial))
+        moved.imag = np.abs(moved.imag)
+        if np.all((moved.real > least) & (moved.real < most)):
+            solved = solve_linear(problem, ModeColumns(data.time_s, moved))
             if objective(data, solved) < now:
-                return trial, solved
-        change *= 0.4
-    return None
+                return moved, solved
+        return None
+
+    return shortened(change, trial)
 
 
 def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, FloatArray]:
