@@ -34,6 +34,7 @@ from modal_id.modes import (
 from modal_id.pieces import mean_scatter_rad_s
 from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_modes
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
+from modal_id.sentences import Note, Reason
 from modal_id.settings import IdentifySettings
 from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
@@ -51,8 +52,6 @@ class Tuning:
 
 TUNING = Tuning()
 
-_REJECTED = "it is no mode of the beam according to reject_hz; it was fitted beside the modes"
-
 
 def assemble(
     series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
@@ -63,7 +62,7 @@ def assemble(
     # Sampling needs most memory: it precedes the allocation of the arrays below.
     rejected = rejected_modes(frequency_hz(poles), settings)
     sampled = [
-        FailedMode(_REJECTED, frequency_hz=float(hz)) if outcome is None else outcome
+        FailedMode.of(Reason.REJECTED(), float(hz)) if outcome is None else outcome
         for hz, outcome in zip(frequency_hz(poles), sample_modes(model, ~rejected, settings), strict=True)
     ]
     everything = _all_channels(prepared, fitted)
@@ -92,13 +91,14 @@ def assemble(
             continue
         flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
         side_band = None if clock is None else clock.side_band(index)
-        no_mode = side_band or tones[index] or hidden[index] or not_established(outcome, flags)
+        doubts = side_band, tones[index], hidden[index], not_established(outcome, flags)
+        no_mode = next((doubt for doubt in doubts if doubt is not None), None)
         # A mode with a number, or the target, is expected there by theory or the user: it is listed with a flag.
         expected = is_target or (number is not None and side_band is None)
         expected = expected and ModeFlag.ADDED not in flags
         if no_mode is not None and not expected:
             hz = float(frequency_hz(poles)[index])
-            failed.append(FailedMode(no_mode, frequency_hz=hz, number=number, target=is_target))
+            failed.append(FailedMode.of(no_mode, hz, number, target=is_target))
             continue
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
@@ -127,7 +127,7 @@ def assemble(
                 severities=severities(model, index, outcome, flags),
             )
         )
-    failed += [FailedMode(reason, frequency_hz=hz) for hz, reason in model.refused]
+    failed += [FailedMode.of(why, hz) for hz, why in model.refused]
     if choice.index is None:
         failed.append(missing_target(choice, settings))
     found = _of_record(series, prepared, fitted, everything)
@@ -173,12 +173,8 @@ def assemble_driven(
         )
         for i in np.argsort(-strength, kind="stable")
     )
-    strongest = lines[0]
-    reason = (
-        f"the motion at {strongest.frequency_hz:.4g} Hz does not decay: it is driven, or decays too slowly for this "
-        "record; record the free decay after the drive stops"
-    )
-    failed = FailedMode(reason, frequency_hz=strongest.frequency_hz, number=settings.mode, target=True)
+    hz = lines[0].frequency_hz
+    failed = FailedMode.of(Reason.DRIVEN(hz=hz), hz, settings.mode, target=True)
     found = _of_record(series, prepared, fitted, _all_channels(prepared, fitted))
     return replace(found, driven=lines, failed=(failed,))
 
@@ -352,23 +348,17 @@ def _notes_of_fit(
     notes = []
     still = [series.channels[i] for i in prepared.channels[~moving]]
     if still:
-        notes.append(f"The fit does not use {listed(still)}: no motion above the noise after the onset.")
+        notes.append(Note.NOT_USED(names=listed(still)))
     given = everything.given.weights[:, moving] > 0.0
     kept = everything.data.weights[:, moving] > 0.0
     total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & ~kept))
     if rejected:
-        notes.append(
-            f"{rejected} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."
-        )
+        notes.append(Note.OUTLIERS(count=rejected, total=total))
     if are_many(outliers) and rejected < 0.5 * outliers * total:
-        notes.append(
-            f"Up to {100.0 * outliers:.1f} % of the samples of a channel deviate from the fitted model by more than 5 "
-            "sd, in clusters rather than at random: they were kept, and the noise level includes them. Inspect the "
-            "residual."
-        )
+        notes.append(Note.CLUSTERS(percent=100.0 * outliers))
     missing = given.size - total - left_out
     if missing:
-        notes.append(f"{missing} samples of the decay are missing; they were left out, not interpolated.")
+        notes.append(Note.MISSING(count=missing))
     return tuple(notes)
 
 
@@ -380,10 +370,7 @@ def in_all_rows(
 ) -> Identification | Failure:
     """What was found from `rows` in terms of the whole series, its modes with the other possible frequencies."""
     rate_hz = 1.0 / float(np.median(np.diff(series.time_s)))
-    words = (
-        f"Only one row in {held} carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
-        "it or are empty): frequencies are the lowest that fit, below half that rate."
-    )
+    words = Note.ONE_ROW_IN(held=held, rate_hz=rate_hz / held, row_rate_hz=rate_hz)
     if isinstance(found, Failure):
         return replace(found, reason=f"{found.reason} {words}")
     size = series.values.shape

@@ -1,10 +1,11 @@
-"""Quality flags of an identified mode: their names and descriptions, for data, report and documentation."""
+"""Quality flags of an identified mode, and checks of the residual: their names and descriptions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import Enum
 
+from modal_id.sentences import Note, in_hz
 from tracker import Severity
 
 
@@ -93,16 +94,12 @@ class ModeFlag(Enum):
 
 
 # Flags of a mode whose own note console and report quote, and how that begins.
-SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
-RATE_CONVERTED_NOTE = "Frames fit a converted rate"
-INPUT_LATE_NOTE = "The outputs follow"
-INPUT_INCOMPLETE_NOTE = "What the fit leaves near"
 QUOTED = {
     ModeFlag.MAY_BE_DRIVEN: ModeFlag.MAY_BE_DRIVEN.value,
-    ModeFlag.SHAPE_DISAGREES: SHAPE_DISAGREES_NOTE,
-    ModeFlag.RATE_CONVERTED: RATE_CONVERTED_NOTE,
-    ModeFlag.INPUT_LATE: INPUT_LATE_NOTE,
-    ModeFlag.INPUT_INCOMPLETE: INPUT_INCOMPLETE_NOTE,
+    ModeFlag.SHAPE_DISAGREES: Note.SHAPE_DISAGREES.beginning,
+    ModeFlag.RATE_CONVERTED: Note.CONVERTED.beginning,
+    ModeFlag.INPUT_LATE: Note.INPUT_LATE.beginning,
+    ModeFlag.INPUT_INCOMPLETE: Note.INPUT_INCOMPLETE.beginning,
 }
 
 
@@ -114,12 +111,8 @@ def quoted_note(flag: ModeFlag, notes: Iterable[str]) -> str:
 
 def alias_note(rate_hz: float, hz: float, count: int = 1) -> str:
     """The note that at this sampling rate the next `count` of the frequencies above fit as well as `hz`."""
-    others = (rate_hz - hz, rate_hz + hz, 2.0 * rate_hz - hz)[:count]
-    listed = ", ".join([f"{other:.4g}" for other in others] + ["…"] * (count > 1))
-    return (
-        f"At a sampling rate of {rate_hz:.4g} Hz, a vibration at {listed} Hz cannot be distinguished from one at "
-        f"{hz:.4g} Hz."
-    )
+    others = in_hz((rate_hz - hz, rate_hz + hz, 2.0 * rate_hz - hz)[:count]) + ", …" * (count > 1)
+    return Note.ALIAS(rate_hz=rate_hz, others=others, hz=hz)
 
 
 _USUAL = {
@@ -140,3 +133,32 @@ _USUAL = {
     ModeFlag.DAMPING_TOUCHES_ZERO: Severity.INTERVAL,
     ModeFlag.CHAIN_TOO_SHORT: Severity.INTERVAL,
 }
+
+#: Of each check of the residual its name, what a small p-value tells, and what to do.
+CHECKS = (
+    (
+        "unmodelled vibration",
+        "A vibration was not modelled: a weak mode, mains hum, or a harmonic of a strong mode.",
+        "Where it changes the values by more than a standard deviation, remove its source and record again.",
+    ),
+    (
+        "correlation of neighbouring residuals",
+        "The noise is correlated in time, or contains fast motion.",
+        "The intervals already include the noise level at the mode (noise factor); stabilise camera and lighting.",
+    ),
+    (
+        "power just above the baseline's band",
+        "A drift is faster than the baseline: camera motion, changing light, or a slow swing.",
+        "Add a reference marker on a fixed point; keep camera and lighting steady.",
+    ),
+    (
+        "score for damping that depends on amplitude",
+        "The decay may not be exponential: damping that depends on the amplitude, or noise that is not white.",
+        "The recording states whether a dependence is established; record smaller amplitudes, or longer.",
+    ),
+    (
+        "kurtosis of the residual",
+        "Single samples deviate strongly: lost or wrongly located markers, or shocks.",
+        "Inspect the frames with the largest residuals; improve lighting and markers.",
+    ),
+)

@@ -46,26 +46,13 @@ from modal_id.segments import (
     may_be_driven,
     no_onset,
     record_start,
-    seen,
     user_onset,
     whole_record,
 )
+from modal_id.sentences import Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import DisplacementSeries, Failure
-
-_SHORT = (
-    "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "
-    "and end_s to one free decay"
-)
-_TWO_EXCITATIONS = (
-    'the input was measured, and excitation is "ambient", for forces that are not measured: give one of the two; '
-    "output_only ignores the input"
-)
-_NO_INPUT = "a lag of the input is asked for, but no input was measured: name it, or omit input_lag_ms"
-_STEADY = "The motion does not decay: it is driven, or decays too slowly for this record."
-_HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
-_FAINT = "The decay here is much weaker than another one of the record."
 
 
 def identify(
@@ -100,10 +87,10 @@ def identify(
     settings = IdentifySettings() if settings is None else settings
     if series.known_input is not None and not settings.output_only:
         if settings.excitation == "ambient":
-            return Failure(_TWO_EXCITATIONS, series.name)
+            return Reason.TWO_EXCITATIONS().at(series.name)
         return identify_response(series, settings)
     if series.known_input is None and settings.input_lag_ms is not None:
-        return Failure(_NO_INPUT, series.name)
+        return Reason.NO_INPUT().at(series.name)
     sampled = sampled_rows(series)
     if sampled is not None:
         # the others repeat them
@@ -151,7 +138,7 @@ def fit_free_decay(series: DisplacementSeries, max_modes: int) -> tuple[FittedMo
     used, _ = samples
     fits = fit_decays(series, used, _one_decay(series, used), max_modes, 0.0, whole=True)
     if not fits.decays:
-        return Failure("; ".join(fits.reasons) or _STEADY, series.name)
+        return (Refusal.joined(fits.reasons) if fits.reasons else Reason.STEADY()).at(series.name)
     one = fits.decays[0]
     return tuple(
         FittedMode(
@@ -192,9 +179,11 @@ def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Pr
         msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, found {shapes.shape}"
         raise ValueError(msg)
     prepared = prepare(series)
-    used = prepared if isinstance(prepared, str) else _of_interval(series, prepared, settings)
-    if isinstance(prepared, str) or isinstance(used, str):
-        return Failure(str(used), series.name)
+    if isinstance(prepared, Refusal):
+        return prepared.at(series.name)
+    used = _of_interval(series, prepared, settings)
+    if isinstance(used, Refusal):
+        return used.at(series.name)
     return project(used, settings.components), float(series.time_s[prepared.first_row])
 
 
@@ -218,8 +207,9 @@ def _identified(
     if fits.driven:
         found = assemble_driven(series, settings, used, fits.driven[0])
         return with_rate_error(replace(found, segments=segments))
-    reason = "; ".join(fits.reasons) or (_SHORT if parts.decays else parts.none.note.rstrip("."))
-    return Failure(f"{reason}. {seen(segments)}", series.name)
+    why = Refusal.joined(fits.reasons or (Reason.SHORT_PIECES() if parts.decays else parts.why,))
+    shown = Note.RECORD_SHOWS(segments="; ".join(map(str, segments))) if segments else ""
+    return replace(why, reason=f"{why.reason}. {shown}", where=series.name)
 
 
 def _of_uneven_frames(
@@ -255,7 +245,7 @@ def _of_decays(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Modes of the most informative decay, averaged with the same ones of others; or driven motion."""
-    for chosen, note in ((without_faint, _FAINT), (without_held, _HELD)):
+    for chosen, note in ((without_faint, Note.FAINT()), (without_held, Note.HELD())):
         kept = chosen(decays)
         segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], note)
         decays = kept
@@ -317,10 +307,11 @@ def _driven(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Result of a record whose strongest motion does not decay: none of its parts is a free decay."""
-    onset = replace(no_onset(_STEADY), fit_from_s=one.onset.fit_from_s)
+    onset = replace(no_onset(Note.STEADY()), fit_from_s=one.onset.fit_from_s)
     found = assemble_driven(series, settings, used, replace(one, onset=onset))
     steady = tuple(
-        replace(s, kind="driven", note=_STEADY) if s.kind in ("decay", "driven") else s for s in segments
+        replace(s, kind="driven", note=Note.STEADY()) if s.kind in ("decay", "driven") else s
+        for s in segments
     )
     return replace(found, segments=steady)
 
@@ -334,17 +325,15 @@ def _target_hz(settings: IdentifySettings) -> float | None:
 
 def _of_interval(
     series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings
-) -> Prepared | str:
+) -> Prepared | Refusal:
     """Samples from `onset_s` to `end_s`, as far as these are given; the reason for a refusal where they are too few."""
     time_s = series.time_s[prepared.first_row : prepared.first_row + prepared.repeated.size]
     first = 0 if settings.onset_s is None else int(np.searchsorted(time_s, settings.onset_s - 1e-12))
     last = time_s.size if settings.end_s is None else int(np.searchsorted(time_s, settings.end_s + 1e-12))
     if last - first < MIN_SAMPLES:
         given = " and ".join(name for name in ("onset_s", "end_s") if getattr(settings, name) is not None)
-        return (
-            f"only {max(last - first, 0)} samples lie within {given}, but at least {MIN_SAMPLES} are needed: the "
-            f"record runs from {series.time_s[0]:.4g} s to {series.time_s[-1]:.4g} s"
-        )
+        ends = {"start_s": series.time_s[0], "end_s": series.time_s[-1]}
+        return Reason.FEW_IN_INTERVAL(found=max(last - first, 0), given=given, least=MIN_SAMPLES, **ends)
     data = prepared.data.rows(slice(first, last))
     data = replace(data, time_s=data.time_s - data.time_s[0])
     repeated = prepared.repeated[first:last]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from modal_id.sentences import Note
+
 SegmentKind = Literal["at rest", "driven", "decay", "disturbed", "repeated", "not used", "ambient"]
 
 
@@ -30,7 +32,7 @@ class Segment:
     note: str = field(default="", repr=False)
 
     def __str__(self) -> str:
-        return f"{self.kind} from {self.start_s:.4g} s to {self.end_s:.4g} s"
+        return Note.SEGMENT(kind=self.kind, start_s=self.start_s, end_s=self.end_s)
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,11 @@ class FittingRate:
         return f"{low:g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
 
     def __str__(self) -> str:
-        unless = (
-            "" if self.otherwise is None else f", unless it is mode {self.otherwise} at the recorded rate"
-        )
-        return (
-            f"at a sampling rate of {self.rate} (recorded: {self.recorded_hz:.4g} Hz), a ratio of {self.ratio:.3g}, "
-            f"the strongest line, {self.line_hz:.4g} Hz, would be mode {self.number} of the beam{unless}"
-        )
+        values = {
+            "recorded_hz": self.recorded_hz,
+            "ratio": self.ratio,
+            "hz": self.line_hz,
+            "number": self.number,
+        }
+        text = Note.FITTING_RATE(rate=self.rate, **values)
+        return text if self.otherwise is None else Note.UNLESS(fitting=text, number=self.otherwise)

@@ -21,11 +21,11 @@ from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.record import FittingRate, Onset, Segment
+from modal_id.sentences import Refusal
 from tracker import (
     INTERVAL_LEVEL,
     BoolArray,
     ComplexArray,
-    Failure,
     FloatArray,
     Severity,
     data_frame,
@@ -266,12 +266,17 @@ class DrivenMotion:
 
 
 @dataclass(frozen=True)
-class FailedMode(Failure):
+class FailedMode(Refusal):
     """A mode that could not be identified."""
 
     frequency_hz: float = float("nan")
     number: int | None = None
     target: bool = False
+
+    @classmethod
+    def of(cls, why: Refusal, hz: float, number: int | None = None, *, target: bool = False) -> FailedMode:
+        """For this reason, at a frequency in Hz, NaN where unknown."""
+        return cls(why.reason, "", "", why.codes, why.values, hz, number, target)
 
 
 @dataclass(frozen=True, eq=False)

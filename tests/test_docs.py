@@ -136,7 +136,7 @@ def messages():
             if isinstance(node, ast.JoinedStr):
                 yield "".join(part.value if isinstance(part, ast.Constant) else "…" for part in node.values)
             elif isinstance(node, ast.Constant) and id(node) not in documentation:
-                yield str(node.value)
+                yield re.sub(r"\{[^{}]*\}", "…", str(node.value))
 
 
 def test_questions_quote_what_the_program_says():

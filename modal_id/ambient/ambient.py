@@ -19,6 +19,7 @@ from modal_id.modes import numbered
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.results import AmbientBand, AmbientRecord, FailedMode, Identification, IdentifiedMode, Posterior
+from modal_id.sentences import Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
 
@@ -49,10 +50,13 @@ def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: f
     """What the record gives, and how long a record would give more: the square of the sd falls with the length."""
     aim = next((aim for aim in _AIMS if aim < 0.8 * log_sd), 0.5 * log_sd)
     needed_s = span_s * (log_sd / aim) ** 2
-    return (
-        f"This record of {span_s / 60.0:.3g} min ({frequency_hz * span_s:.0f} cycles) gives the damping ratio, "
-        f"{100.0 * damping_ratio:.3g} %, to {100.0 * log_sd:.2g} % of its value; {needed_s / 60.0:.2g} min would give "
-        f"it to {100.0 * aim:.2g} %."
+    return Note.DAMPING_KNOWN(
+        span_min=span_s / 60.0,
+        cycles=frequency_hz * span_s,
+        zeta_percent=100.0 * damping_ratio,
+        percent=100.0 * log_sd,
+        needed_min=needed_s / 60.0,
+        aim_percent=100.0 * aim,
     )
 
 
@@ -103,11 +107,6 @@ class Tuning:
 
 TUNING = Tuning()
 
-_LINE = (
-    "the peak at {hz:.4g} Hz is no wider than the record resolves: a motion of constant amplitude, such as a machine "
-    "or hum, rather than a mode; record longer if it is one"
-)
-
 
 @dataclass(frozen=True)
 class _Found:
@@ -150,10 +149,10 @@ def identify_ambient(
     2 zeta^2.
     """
     found = spectrum_of(prepared.data)
-    if isinstance(found, Failure):
-        return replace(found, where=series.name)
+    if isinstance(found, Refusal):
+        return found.at(series.name)
     found, fitted, lines_hz = _bands(found)
-    failed = [FailedMode(_LINE.format(hz=hz), frequency_hz=hz) for hz in lines_hz]
+    failed = [FailedMode.of(Reason.LINE(hz=hz), hz) for hz in lines_hz]
     modes = [
         _mode(found, one.band, one.order.fit, index, one.order.log_odds[index], one.order.misfit)
         for one in fitted
@@ -163,13 +162,13 @@ def identify_ambient(
     listed, others = _sorted_out(found, modes)
     failed += others
     if not listed:
-        reason = "; ".join(one.reason for one in failed) or _nothing(found, len(fitted))
-        return Failure(reason, series.name, "record longer, closer, or with more excitation")
+        why = Refusal.joined(failed or (_nothing(found, len(fitted)),))
+        return replace(why, where=series.name, next_step=Note.RECORD_LONGER())
     listed = [_in_channels(one, prepared, len(series.channels)) for one in listed]
     strongest = max(listed, key=lambda one: float(np.nanmax(np.abs(one.shape))))
     problem = not_stationary(found, strongest.frequency_hz, strongest.damping_ratio)
     if problem is not None:
-        return replace(problem, where=series.name)
+        return problem.at(series.name)
     result = _assembled(series, prepared, settings, found, listed, failed)
     record = AmbientRecord(*_curve(found), _spectral_bands(fitted, listed))
     return with_rate_error(replace(result, ambient=record))
@@ -321,29 +320,24 @@ def _sorted_out(found: Spectrum, modes: list[_Found]) -> tuple[list[_Found], lis
         sd = float(np.sqrt(one.covariance[1, 1]))
         hz = one.frequency_hz
         if turns < TUNING.least_turns:
-            reason = _LINE.format(hz=hz)
+            why = Reason.LINE(hz=hz)
         elif sd > TUNING.most_log_sd:
+            span_min = found.span_s / 60.0
             minutes = found.span_s * (sd / 0.3) ** 2 / 60.0
-            reason = (
-                f"the record of {found.span_s / 60.0:.3g} min does not determine the damping ratio at {hz:.4g} Hz; "
-                f"about {minutes:.2g} min would give it to 30 %"
-            )
+            why = Reason.SHORT_FOR_DAMPING(span_min=span_min, hz=hz, needed_min=minutes)
         elif not one.band.low_hz * 1.0001 < hz < one.band.high_hz * 0.9999:
             continue
         else:
             good.append(one)
             continue
-        failed.append(FailedMode(reason, frequency_hz=hz))
+        failed.append(FailedMode.of(why, hz))
     return good, failed
 
 
-def _nothing(found: Spectrum, bands: int) -> str:
+def _nothing(found: Spectrum, bands: int) -> Refusal:
     if found.frequency_hz.size < BANDS.least_reach:
-        return f"the record of {found.span_s:.3g} s is too short for its spectrum to show a mode"
-    return (
-        f"no band of the spectrum holds a mode with odds above 0.9 ({bands} examined, record of "
-        f"{found.span_s / 60.0:.3g} min)"
-    )
+        return Reason.SHORT_FOR_SPECTRUM(span_s=found.span_s)
+    return Reason.NO_BAND(count=bands, span_min=found.span_s / 60.0)
 
 
 def _assembled(
@@ -425,10 +419,7 @@ def _of_record(
         residual_sd[prepared.channels] = found.noise_sd / np.sqrt(2.0 * found.step_s)
     notes = []
     if filled := int(np.count_nonzero(found.filled)):
-        notes.append(
-            f"{filled} missing samples were filled by linear prediction from both sides: the spectrum changes by "
-            f"{200.0 * filled / found.filled.size:.2g} % at most, frequencies and damping ratios less."
-        )
+        notes.append(Note.FILLED(count=filled, percent=200.0 * filled / found.filled.size))
     onset = Onset(start_s, float("nan"), start_s, "none", 1.0, "")
     return Identification(
         series=series,

@@ -11,7 +11,8 @@ from scipy.linalg import solve_toeplitz, solveh_banded
 from scipy.special import fdtrc, gammainccinv
 
 from modal_id.data import FitData, baseline_splines
-from tracker import BoolArray, ComplexArray, Failure, FloatArray
+from modal_id.sentences import Reason, Refusal
+from tracker import BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -144,10 +145,10 @@ class Spectrum:
         return replace(self, frequency_hz=self.frequency_hz[kept], values=self.values[kept])
 
 
-def spectrum_of(data: FitData) -> Spectrum | Failure:
+def spectrum_of(data: FitData) -> Spectrum | Refusal:
     """Spectrum of the samples, or why there is none."""
     even = _on_grid(data)
-    if isinstance(even, Failure):
+    if isinstance(even, Refusal):
         return even
     values, seen, step_s = even
     problem = _too_much_missing(seen, step_s)
@@ -167,7 +168,7 @@ def spectrum_of(data: FitData) -> Spectrum | Failure:
     return Spectrum(frequency_hz, transformed / noise_sd, noise_sd, n, step_s, motion / noise_sd, ~seen)
 
 
-def _on_grid(data: FitData) -> tuple[FloatArray, BoolArray, float] | Failure:
+def _on_grid(data: FitData) -> tuple[FloatArray, BoolArray, float] | Refusal:
     """Values on an even grid, which of them are seen, and the step."""
     place = np.rint(data.time_s / data.step_s)
     # The median step of rounded times is off by their rounding: the grid is that of the whole record.
@@ -176,11 +177,7 @@ def _on_grid(data: FitData) -> tuple[FloatArray, BoolArray, float] | Failure:
         place = np.rint((data.time_s - start_s) / step_s)
     off = np.abs(data.time_s - start_s - step_s * place) / step_s
     if float(np.max(off)) > TUNING.jitter or np.any(np.diff(place) < 1.0):
-        return Failure(
-            f"ambient identification needs an even sampling rate: times differ from an even grid by up to "
-            f"{float(np.max(off)):.2g} of a step, and at most {TUNING.jitter:g} is allowed",
-            next_step="record at a constant frame rate, or identify a free decay, which may have uneven times",
-        )
+        return Reason.UNEVEN(off=float(np.max(off)), most=TUNING.jitter)
     rows = (place - place[0]).astype(np.intp)
     values = np.zeros((rows[-1] + 1, data.values.shape[1]))
     seen = np.zeros(values.shape, dtype=bool)
@@ -188,18 +185,19 @@ def _on_grid(data: FitData) -> tuple[FloatArray, BoolArray, float] | Failure:
     return values, seen, float(step_s)
 
 
-def _too_much_missing(seen: BoolArray, step_s: float) -> Failure | None:
+def _too_much_missing(seen: BoolArray, step_s: float) -> Refusal | None:
     share = 1.0 - float(np.min(np.mean(seen, axis=0)))
     edges = np.diff(np.pad(~seen, ((1, 1), (0, 0))).astype(np.int8), axis=0)
     lengths = np.nonzero(edges.T == -1)[1] - np.nonzero(edges.T == 1)[1]
     longest = int(np.max(lengths, initial=0))
     if share <= TUNING.missing and longest <= TUNING.longest_gap:
         return None
-    return Failure(
-        f"ambient identification fills single missing samples: up to {100.0 * TUNING.missing:g} % of a channel and "
-        f"{TUNING.longest_gap} in a row; {100.0 * share:.2g} % of a channel are missing, and {longest} in a row "
-        f"({longest * step_s:.2g} s)",
-        next_step="cut the record with onset_s and end_s to a part without long gaps, or leave the channel out",
+    return Reason.MISSING(
+        most_percent=100.0 * TUNING.missing,
+        most=TUNING.longest_gap,
+        percent=100.0 * share,
+        longest=longest,
+        longest_s=longest * step_s,
     )
 
 
@@ -264,10 +262,7 @@ def _noise_sd(transformed: ComplexArray) -> FloatArray:
     )
 
 
-_NEXT = "identify the decay with excitation = 'free', or cut it out with onset_s and end_s"
-
-
-def not_stationary(found: Spectrum, frequency_hz: float, damping_ratio: float) -> Failure | None:
+def not_stationary(found: Spectrum, frequency_hz: float, damping_ratio: float) -> Refusal | None:
     """Why the record is not one of stationary motion; None where it may be.
 
     The power of a mode in a block of T seconds under a white force has the gamma distribution with about
@@ -297,15 +292,11 @@ def not_stationary(found: Spectrum, frequency_hz: float, damping_ratio: float) -
     if share < TUNING.share:
         return None
     where_s = found.span_s * float(np.argmax(of_block)) / blocks
-    return Failure(
-        f"the motion at {frequency_hz:.4g} Hz is not stationary: {100.0 * share:.2g} % of its power lie in "
-        f"{100.0 * float(np.mean(loud)):.2g} % of the record, most of it from {where_s:.4g} s on, as after a stroke. "
-        "An ambient record holds motion under a steady random force",
-        next_step=_NEXT,
-    )
+    percent, loud_percent = 100.0 * share, 100.0 * float(np.mean(loud))
+    return Reason.STROKE(hz=frequency_hz, percent=percent, loud_percent=loud_percent, from_s=where_s)
 
 
-def _decays(power: FloatArray, values: float, frequency_hz: float) -> Failure | None:
+def _decays(power: FloatArray, values: float, frequency_hz: float) -> Refusal | None:
     """Why a record of few blocks is not stationary: the powers of its halves, of `values` independent ones, differ.
 
     Their ratio has the F distribution with twice as many degrees of freedom.
@@ -313,8 +304,4 @@ def _decays(power: FloatArray, values: float, frequency_hz: float) -> Failure | 
     first, second = (float(np.sum(one)) for one in np.array_split(power, 2))
     if fdtrc(2.0 * values, 2.0 * values, first / second) > TUNING.false_alarm:
         return None
-    return Failure(
-        f"the motion at {frequency_hz:.4g} Hz decays: the first half of the record has {first / second:.3g} times the "
-        "power of the second. An ambient record holds motion under a steady random force",
-        next_step=_NEXT,
-    )
+    return Reason.DECAYS(hz=frequency_hz, ratio=first / second)

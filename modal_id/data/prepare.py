@@ -12,6 +12,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData, runs
+from modal_id.sentences import Note, Reason, Refusal
 from tracker import BoolArray, DisplacementSeries, FloatArray
 
 
@@ -67,10 +68,7 @@ def longest_without_pause(time_s: FloatArray) -> tuple[int, int, str] | None:
     edges = np.concatenate([[0], pauses + 1, [time_s.size]])
     longest = int(np.argmax(np.diff(edges)))
     first, end = int(edges[longest]), int(edges[longest + 1])
-    note = (
-        f"The record pauses for {np.max(step_s):.4g} s: only the {end - first} samples from {time_s[first]:.4g} s to "
-        f"{time_s[end - 1]:.4g} s were used. Give the others as files of their own."
-    )
+    note = Note.PAUSE(pause_s=np.max(step_s), count=end - first, start_s=time_s[first], end_s=time_s[end - 1])
     return first, end, note
 
 
@@ -92,16 +90,12 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
         return None
     stretches = sorted([*runs(alike), *runs(~alike)], key=lambda run: int(run[0]))
     first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
-    listed = ", ".join(
-        f"{1.0 / float(np.median(step_s[begin:end])):.4g} Hz from {time_s[begin]:.4g} s"
+    rates = [
+        Note.RATE(rate_hz=1.0 / float(np.median(step_s[begin:end])), start_s=time_s[begin])
         for begin, end in stretches[: TUNING.listed]
-    )
-    note = (
-        f"The sampling rate changes within the record ({listed}{', …' if len(stretches) > TUNING.listed else ''}): "
-        f"only the stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. "
-        "Give the others as files of their own."
-    )
+    ] + ["…"] * (len(stretches) > TUNING.listed)
     # A step lies between two rows.
+    note = Note.RATES(rates=", ".join(rates), start_s=time_s[first], end_s=time_s[last])
     return int(first), int(last) + 1, note
 
 
@@ -165,12 +159,6 @@ MIN_SAMPLES = 12
 
 _ROUNDING = TUNING.rounding
 
-_AT_REST = f"no motion (the values change by less than {100.0 * _ROUNDING:g} % of their standard deviation)"
-_CLIPPED = (
-    "the signal is clipped until the end of the record: too many samples share its largest or smallest value; reduce "
-    "the amplitude or use a larger range; draw the markers of a synthetic film at fractions of a px, with gray edges"
-)
-
 
 @dataclass(frozen=True)
 class Projection:
@@ -224,20 +212,15 @@ class Prepared:
         return found
 
 
-def prepare(series: DisplacementSeries) -> Prepared | str:
-    """Usable channels and rows, or a sentence with the reason why there is nothing to fit."""
+def prepare(series: DisplacementSeries) -> Prepared | Refusal:
+    """Usable channels and rows, or the reason why there is nothing to fit."""
     n = series.time_s.size
     if n < MIN_SAMPLES:
-        return (
-            f"the series has {n} samples, but at least {MIN_SAMPLES} are needed; "
-            "record longer or at a higher frame rate"
-        )
+        return Reason.FEW_SAMPLES(found=n, least=MIN_SAMPLES)
     finite = np.isfinite(series.values)
     kept, notes = _usable_channels(series, finite)
     if not kept.size:
-        return (
-            f"no channel has a usable signal: {' '.join(notes)} Check the sensor, the markers or the columns."
-        )
+        return Reason.NO_CHANNEL(notes=" ".join(notes))
     first_row = 0
     for longest in (longest_without_pause, longest_at_one_rate):
         stretch = longest(series.time_s[first_row:n])
@@ -245,29 +228,20 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
             first_row, n, note = first_row + stretch[0], first_row + stretch[1], stretch[2]
             notes.append(note)
     if n - first_row < MIN_SAMPLES:
-        return (
-            f"only {n - first_row} of the samples follow each other without a pause and at one rate, but at least "
-            f"{MIN_SAMPLES} are needed. {' '.join(notes)}"
-        )
+        return Reason.FEW_AT_ONE_RATE(found=n - first_row, least=MIN_SAMPLES, notes=" ".join(notes))
     stated_sd = _stated_sd(series, kept)
     saturated = last_saturated_row(series.values[first_row:n, kept], _ROUNDING * stated_sd)
     if saturated is not None:
         saturated += first_row
         first_row = saturated + 1
-        notes.append(
-            f"The signal is clipped (many samples at its extreme value) until {series.time_s[saturated]:.4g} s; "
-            "only the samples after it were used."
-        )
+        notes.append(Note.CLIPPED_UNTIL(until_s=series.time_s[saturated]))
         if n - first_row < MIN_SAMPLES:
-            return _CLIPPED
+            return Reason.CLIPPED()
     rows = slice(first_row, n)
     repeated = repeated_rows(series.values[rows, kept])
     distinct = repeated.size - int(np.count_nonzero(repeated))
     if distinct < MIN_SAMPLES:
-        return (
-            f"only {distinct} of {n - first_row} samples differ from the one before, but at least {MIN_SAMPLES} are "
-            "needed: frames are frozen or duplicated; check the camera or the file"
-        )
+        return Reason.FEW_DISTINCT(found=distinct, count=n - first_row, least=MIN_SAMPLES)
     if np.any(repeated):
         seen = np.any(finite[rows, kept], axis=1)
         notes.append(_repeated_note(repeated[seen], series.time_s[rows][seen]))
@@ -287,15 +261,15 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
         if name in misleading:
             for_reason.setdefault(misleading[name], []).append(name)
         elif good.size < max(MIN_SAMPLES, TUNING.min_finite * n):
-            notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
+            notes.append(Note.CHANNEL(names=name, why=Note.FEW_VALUES(found=good.size, count=n)))
         elif np.ptp(good) == 0.0:
-            notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
+            notes.append(Note.CHANNEL(names=name, why=Note.NEVER_CHANGES(value=good[0], unit=series.unit)))
         elif np.ptp(good) < _ROUNDING * stated_sd[index]:
-            for_reason.setdefault(_AT_REST, []).append(name)
+            for_reason.setdefault(Note.AT_REST(percent=100.0 * _ROUNDING), []).append(name)
         else:
             channels.append(index)
     left_out = [
-        f"Channel{'s' if len(names) > 1 else ''} {listed(names)} {'were' if len(names) > 1 else 'was'} left out: {why}."
+        (Note.CHANNELS if len(names) > 1 else Note.CHANNEL)(names=listed(names), why=why)
         for why, names in for_reason.items()
     ]
     return np.array(channels, dtype=np.intp), [*left_out, *notes]
@@ -304,23 +278,16 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
 def listed(names: list[str]) -> str:
     """Names of channels for a sentence, the first of many."""
     more = len(names) - TUNING.most_names
-    return ", ".join(names[: TUNING.most_names]) + (f" and {more} more" if more > 0 else "")
+    text = ", ".join(names[: TUNING.most_names])
+    return Note.MORE_NAMES(names=text, count=more) if more > 0 else text
 
 
 def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
     count = int(np.count_nonzero(repeated))
     at_end = int(np.argmin(repeated[::-1])) if not repeated.all() else repeated.size
-    places = (
-        f"the last {at_end} of the record"
-        if at_end == count
-        else f"first at {time_s[np.argmax(repeated)]:.4g} s"
-    )
-    if 0 < at_end < count:
-        places += f", and the last {at_end} of the record"
-    return (
-        f"{count} sample{'s' if count > 1 else ''} repeat{'' if count > 1 else 's'} the one before ({places}): frozen "
-        f"or duplicated frames. {'They were' if count > 1 else 'It was'} left out."
-    )
+    places = [Note.FIRST_AT(first_s=time_s[np.argmax(repeated)])] if at_end < count else []
+    places += [Note.LAST_ROWS(count=at_end)] if at_end > 0 else []
+    return (Note.REPEATED if count > 1 else Note.ONE_REPEATED)(count=count, places=", and ".join(places))
 
 
 def _stated_sd(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:

@@ -9,6 +9,7 @@ from scipy.special import gammainc, gammaincinv
 
 from modal_id.data.prepare import Prepared, Projection
 from modal_id.data.samples import FitData, limited, reject_outliers
+from modal_id.sentences import Note
 from tracker import MAD_TO_SD, FloatArray
 
 # Fewer channels are fitted directly.
@@ -133,8 +134,8 @@ def _reduced(
     projection = Projection(cleaned, to_channels, (basis @ turn).T / sd)
     count, k = basis.shape[1], sd.size
     rejected = int(np.count_nonzero((prepared.data.weights > 0.0) & (cleaned.weights == 0.0)))
-    note = f"The modes are fitted in {count} component{'s' if count > 1 else ''} of the {k} channels"
-    note += f"; {rejected} samples of single channels that differ from them by more than 5 sd were left out."
+    words = Note.COMPONENTS if count > 1 else Note.ONE_COMPONENT
+    note = words(count=count, channels=k, rejected=rejected)
     return replace(prepared, data=components, notes=(*prepared.notes, note), projection=projection)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from modal_id.data import FitData
 from modal_id.fit.spectrum import ResidualSpectrum, residual_spectrum
+from modal_id.sentences import Refusal
 from modal_id.solve import PoleFit, Problem, frequency_hz
 from tracker import ComplexArray, FloatArray
 
@@ -35,7 +36,7 @@ class ModalFit:
         Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
     added_hz : tuple of float
         Frequencies named by the user at which a mode was fitted that the search had not found.
-    refused : tuple of (float, str)
+    refused : tuple of (float, Refusal)
         Frequencies named by the user at which none was fitted, with the reason.
     """
 
@@ -46,7 +47,7 @@ class ModalFit:
     least_bandwidth_hz: float = 0.0
     repeating: FloatArray | None = None
     added_hz: tuple[float, ...] = ()
-    refused: tuple[tuple[float, str], ...] = ()
+    refused: tuple[tuple[float, Refusal], ...] = ()
 
     @property
     def data(self) -> FitData:

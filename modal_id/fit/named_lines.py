@@ -21,6 +21,7 @@ from modal_id.fit.model_order import (
     with_line,
 )
 from modal_id.fit.spectrum import LEVEL_BINS, Band, highest_near, nyquist_hz
+from modal_id.sentences import Reason, Refusal
 from modal_id.solve import (
     ModeColumns,
     PoleFit,
@@ -76,28 +77,20 @@ def _with_one(model: ModalFit, hz: float) -> ModalFit:
         joint = _joint(model, hz)
         if joint is not None:
             return replace(joint, added_hz=(*model.added_hz, hz))
-        reason = (
-            f"the record does not determine a mode at {hz:.4g} Hz: what it shows there is no more than noise shows "
-            "somewhere in a spectrum; record longer, with more motion in that mode or less noise"
-        )
+        reason = Reason.NAMED_IS_NOISE(hz=hz)
     return replace(model, refused=(*model.refused, (hz, reason)))
 
 
-def _no_line_there(model: ModalFit, hz: float) -> str | None:
+def _no_line_there(model: ModalFit, hz: float) -> Refusal | None:
     """Why no line of its own can be sought at a frequency, or None."""
     near = [f for f in frequency_hz(model.fit.poles) if abs(f - hz) < OWN_BAND * f]
     nyquist, lowest_hz = nyquist_hz(model.data.time_s), BASELINE_GUARD * model.bandwidth_hz
     if near:
-        return (
-            f"{hz:.4g} Hz is too close to the mode at {near[0]:.4g} Hz to be added: what that mode leaves there is its "
-            "misfit, and two modes so close are separated without being named where the record resolves them"
-        )
+        return Reason.NAMED_IS_CLOSE(hz=hz, mode_hz=near[0])
     if hz >= nyquist:
-        return f"{hz:.4g} Hz is not below half the sampling rate, {nyquist:.4g} Hz"
+        return Reason.NAMED_ABOVE_NYQUIST(hz=hz, nyquist_hz=nyquist)
     if model.fit.poles.size and hz < lowest_hz:
-        return (
-            f"{hz:.4g} Hz is below {lowest_hz:.4g} Hz: motion that slow is fitted as drift of the positions"
-        )
+        return Reason.NAMED_IS_DRIFT(hz=hz, lowest_hz=lowest_hz)
     return None
 
 

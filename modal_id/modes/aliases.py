@@ -14,6 +14,7 @@ from modal_id.data import MIN_SAMPLES, FitData
 from modal_id.flags import ModeFlag
 from modal_id.mode_values import Table, axes_or_new
 from modal_id.results import Identification, IdentifiedMode
+from modal_id.sentences import Note
 from modal_id.solve import Problem, gauss_newton, objective, pole
 from tracker import BoolArray, Column, FloatArray, checked, data_frame
 
@@ -195,22 +196,18 @@ class LineAliases:
         return self.line.doubtful or (self.informed and self.aliases[0].probability < TUNING.decided)
 
     def __str__(self) -> str:
-        identified = f"{self.line.frequency_hz:.5g} Hz"
-        up_to = f"among frequencies up to {self.limit_hz:.5g} Hz"
+        hz, up_to = self.line.frequency_hz, Note.UP_TO(limit_hz=self.limit_hz)
         if not self.informed:
-            listed = ", ".join(f"{alias.frequency_hz:.5g}" for alias in self.aliases[1:])
-            return (
-                f"{identified} or, {up_to}, {listed} Hz: no recording tells them apart from samples at "
-                f"{self.line.rate_hz:.5g} Hz. Record the structure again at another rate."
-            )
+            others = ", ".join(f"{alias.frequency_hz:.5g}" for alias in self.aliases[1:])
+            return Note.NOT_TOLD_APART(hz=hz, up_to=up_to, others=others, rate_hz=self.line.rate_hz)
         if not self.decided:
-            likely = sorted(self.aliases, key=lambda alias: -alias.probability)[:3]
-            listed = ", ".join(f"{one.frequency_hz:.5g} Hz with {one.probability:.2g}" for one in likely)
-            return f"identified at {identified}, undecided {up_to}: {listed}. Record again at a higher rate."
-        odds = f"odds {'above ' if self.odds > 1000.0 else ''}{min(self.odds, 1000.0):.0f}:1 {up_to}"
+            most = sorted(self.aliases, key=lambda alias: -alias.probability)[:3]
+            likely = ", ".join(Note.LIKELY(hz=one.frequency_hz, probability=one.probability) for one in most)
+            return Note.UNDECIDED(hz=hz, up_to=up_to, likely=likely)
+        odds = "above 1000" if self.odds > 1000.0 else f"{self.odds:.0f}"
         if self.best is self.aliases[0]:
-            return f"{identified} ({odds}), no alias"
-        return f"{self.best.frequency_hz:.5g} Hz ({odds}), not {identified}"
+            return Note.NO_ALIAS(hz=hz, odds=odds, up_to=up_to)
+        return Note.IS_ALIAS(true_hz=self.best.frequency_hz, odds=odds, up_to=up_to, hz=hz)
 
 
 #: Of a pair of `LineAliases` and one of its `Alias`.

@@ -15,8 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
+from modal_id.flags import CHECKS
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Check, Identification, IdentifiedMode
+from modal_id.sentences import Note
 from modal_id.solve import Beside, ModeColumns, Problem, TimesTime, motion, pole, solve_linear, without_fit
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -74,35 +76,6 @@ TUNING = Tuning()
 _BLOCK_VALUES = 1_000_000
 
 
-_TEXTS = (
-    (
-        "unmodelled vibration",
-        "A vibration was not modelled: a weak mode, mains hum, or a harmonic of a strong mode.",
-        "Where it changes the values by more than a standard deviation, remove its source and record again.",
-    ),
-    (
-        "correlation of neighbouring residuals",
-        "The noise is correlated in time, or contains fast motion.",
-        "The intervals already include the noise level at the mode (noise factor); stabilise camera and lighting.",
-    ),
-    (
-        "power just above the baseline's band",
-        "A drift is faster than the baseline: camera motion, changing light, or a slow swing.",
-        "Add a reference marker on a fixed point; keep camera and lighting steady.",
-    ),
-    (
-        "score for damping that depends on amplitude",
-        "The decay may not be exponential: damping that depends on the amplitude, or noise that is not white.",
-        "The recording states whether a dependence is established; record smaller amplitudes, or longer.",
-    ),
-    (
-        "kurtosis of the residual",
-        "Single samples deviate strongly: lost or wrongly located markers, or shocks.",
-        "Inspect the frames with the largest residuals; improve lighting and markers.",
-    ),
-)
-
-
 def residual_checks(found: Identification) -> tuple[Check, ...]:
     """Checks of the channel that moves most; none where there is no mode or fewer than 64 samples.
 
@@ -131,7 +104,7 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     blocks = [statistics(own)]
     blocks += [statistics(block) for block in _replicates(np.random.default_rng(seed), rows.size, count)]
     checks = []
-    for (name, cause, remedy), values in zip(_TEXTS, np.concatenate(blocks, axis=1), strict=True):
+    for (name, cause, remedy), values in zip(CHECKS, np.concatenate(blocks, axis=1), strict=True):
         p_value = float(np.count_nonzero(values >= values[0]) / values.size)
         checks.append(Check(name, float(values[0]), float(np.median(values[1:])), p_value, cause, remedy))
     checks[0] = replace(checks[0], frequency_hz=statistics.line_hz(own))
@@ -329,12 +302,9 @@ def readout_note(found: Identification, rows_px: FloatArray, height_px: int) -> 
     readout_s, sd_s = (height_px - 1) * np.array(delay)
     if abs(readout_s) > TUNING.longest_readout * float(np.median(np.diff(found.series.time_s))):
         return ""
+    per_row = {"row_us": 1e6 * abs(delay.per_row_s), "sd_us": 1e6 * delay.sd_s}
     grow = "grow" if readout_s > 0.0 else "fall"
-    return (
-        f"The phases of the mode shapes {grow} down the image by {1e6 * abs(delay.per_row_s):.3g} ± "
-        f"{1e6 * delay.sd_s:.1g} µs per row: a rolling shutter exposes one row after another. Set readout_s = "
-        f"{readout_s:.3g} in [camera] (sd {sd_s:.1g} s), so that all markers refer to one time."
-    )
+    return Note.ROLLING_SHUTTER(grow=grow, **per_row, readout_s=readout_s, sd_s=sd_s)
 
 
 def _slope(mode: IdentifiedMode, rows_px: FloatArray) -> RowDelay | None:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.fit import ModalFit
-from modal_id.flags import RATE_CONVERTED_NOTE
 from modal_id.modes.frame_clock import TUNING as CLOCK
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
+from modal_id.sentences import Note, Reason, Refusal
 from tracker import MEDIAN_MODULUS, BoolArray, FloatArray
 
 
@@ -69,11 +69,7 @@ _OTHER_SHARES = (0.6, 1.4)
 
 _UNMIXED: FloatArray = np.zeros(0)
 
-_HOW: dict[Kind, str] = {
-    "moved": "recorded ones were left out or repeated",
-    "blended": "means of two recorded ones",
-    "inserted": "those without positions repeat others",
-}
+_HOW: dict[Kind, Note] = {"moved": Note.MOVED, "blended": Note.BLENDED, "inserted": Note.INSERTED}
 
 
 @dataclass(frozen=True)
@@ -98,18 +94,13 @@ class Conversion:
     evidence: float
     side_bands: BoolArray
 
-    def side_band(self, index: int) -> str | None:
-        """The sentence that the mode with this index is a side band, or None."""
-        if not self.side_bands[index]:
-            return None
-        return "it is a side band of the strongest mode, caused by frames that are not evenly spaced in time"
+    def side_band(self, index: int) -> Refusal | None:
+        """That the mode with this index is a side band, or None."""
+        return Reason.SIDE_BAND() if self.side_bands[index] else None
 
     def note(self, hz: float) -> str:
         """What the conversion means for a mode at this frequency in Hz."""
-        return (
-            f"{RATE_CONVERTED_NOTE} ({_HOW[self.kind]}): {self.ratio:.4g} recorded ones for each in the file; if the "
-            f"rate given is the camera's, the frequency is {hz / self.ratio:.4g} Hz instead of {hz:.4g} Hz."
-        )
+        return Note.CONVERTED(how=_HOW[self.kind](), ratio=self.ratio, true_hz=hz / self.ratio, hz=hz)
 
 
 def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conversion | None:

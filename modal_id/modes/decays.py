@@ -15,6 +15,7 @@ from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
 from modal_id.segments import BETWEEN_SD, held_density
+from modal_id.sentences import Note
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -203,15 +204,11 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
         values = [one for one in _values_of(mode, fitted, main) if one is not None]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
-    one_alone = "the values are those of the most informative decay, since no other one shows its modes."
-    several = (
-        f"the values of up to {used} of them that show the same mode are combined, and the scatter between them "
-        "is part of the standard deviations."
+    words, ends = (
+        (Note.ONE_DECAY if used < 2 else Note.COMBINED),
+        (found.onset.fit_from_s, fitted[main].end_s),
     )
-    note = (
-        f"The record contains {len(fitted)} free decays; {one_alone if used < 2 else several} Figures show the decay "
-        f"from {found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
-    )
+    note = Note.SEVERAL_DECAYS(count=len(fitted), used=words(count=used), start_s=ends[0], end_s=ends[1])
     return replace(found, modes=tuple(modes), notes=(*found.notes, note))
 
 

@@ -13,6 +13,7 @@ from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.numbering import possible_aliases
 from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mode
 from modal_id.results import AmplitudeDependence
+from modal_id.sentences import Note
 from modal_id.settings import IdentifySettings
 from modal_id.solve import frequency_hz
 from tracker import ComplexArray, Severity
@@ -164,8 +165,12 @@ def mode_flags(
     if at_nyquist:
         notes.append(alias_note(2.0 * nyquist, frequency))
     notes += [
-        f"At a sampling rate of {2.0 * nyquist:.4g} Hz, mode {other}, which theory predicts at "
-        f"{settings.expected_frequencies_hz[other - 1]:.4g} Hz, would appear near {frequency:.4g} Hz."
+        Note.ALIAS_OF_THEORY(
+            rate_hz=2.0 * nyquist,
+            number=other,
+            theory_hz=settings.expected_frequencies_hz[other - 1],
+            hz=frequency,
+        )
         for other in aliases
     ]
     return [flag for flag, is_raised in raised.items() if is_raised], notes

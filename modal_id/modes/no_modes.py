@@ -12,6 +12,7 @@ from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
 from modal_id.posterior import SampledMode
 from modal_id.results import FailedMode
+from modal_id.sentences import Note, Reason, Refusal
 from tracker import ComplexArray, FloatArray, PositionErrors
 
 
@@ -49,8 +50,8 @@ _DECADES = 2.0 * float(np.log(10.0))
 
 def combination_tones(
     sampled: Sequence[SampledMode | FailedMode], amplitudes: ComplexArray, rate_hz: float
-) -> tuple[str | None, ...]:
-    """For each mode the sentence that it is a combination tone of stronger modes, or None.
+) -> tuple[Refusal | None, ...]:
+    """For each mode that it is a combination tone of stronger modes, or None.
 
     Nonlinearity of the structure or of the sensor, and errors of positions, turn the strongest motion, at f_1 and
     with the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2. A harmonic
@@ -86,8 +87,8 @@ def combination_tones(
 
 def within_errors(
     amplitudes: ComplexArray, errors: PositionErrors | None, channels: NDArray[np.intp], unit: str
-) -> tuple[str | None, ...]:
-    """For each mode the sentence that it does not exceed the errors of positions beside a larger motion, or None.
+) -> tuple[Refusal | None, ...]:
+    """For each mode that it does not exceed the errors of positions beside a larger motion, or None.
 
     `amplitudes`, in `unit`, has shape (m, k), and `channels` are the indices of these k in the series, which `errors`
     describe.
@@ -106,32 +107,22 @@ def within_errors(
     )
 
 
-def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> str | None:
-    """The sentence that a line is not listed because signal, confirmation and decay are all in doubt, or None.
+def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> Refusal | None:
+    """That a line is not listed because signal, confirmation and decay are all in doubt, or None.
 
     Of a mode that only the user has named, that it decays must not be in doubt.
     """
     zeta, sd = (float(value(mode.posterior.damping_ratio)) for value in (np.median, np.std))
     if {ModeFlag.ADDED, ModeFlag.DAMPING_TOUCHES_ZERO} <= set(flags):
-        return (
-            f"it is not listed as a mode: the record does not determine whether it decays (damping ratio "
-            f"{100.0 * zeta:.2g} % with a standard deviation of {100.0 * sd:.2g} %); record longer or with more motion "
-            "in that mode"
-        )
+        return Reason.NAMED_NEED_NOT_DECAY(zeta_percent=100.0 * zeta, sd_percent=100.0 * sd)
     if zeta > sd or not {ModeFlag.LOW_SNR, ModeFlag.NOT_CONFIRMED} <= set(flags):
         return None
-    return (
-        "it is not listed as a mode: it hardly exceeds the noise, subspace identification does not confirm it, and it "
-        f"need not decay (damping ratio {100.0 * zeta:.2g} % with a standard deviation of {100.0 * sd:.2g} %)"
-    )
+    return Reason.NOT_ESTABLISHED(zeta_percent=100.0 * zeta, sd_percent=100.0 * sd)
 
 
-def _hidden(amplitude: FloatArray, limit: FloatArray, unit: str) -> str:
+def _hidden(amplitude: FloatArray, limit: FloatArray, unit: str) -> Refusal:
     most = int(np.argmax(amplitude))
-    return (
-        f"it is not listed as a mode: its amplitude, {amplitude[most]:.2g} {unit}, is below {limit[most]:.2g} {unit}, "
-        "twice the standard deviation of position errors that repeat with the larger motion"
-    )
+    return Reason.WITHIN_ERRORS(amplitude=amplitude[most], limit=limit[most], unit=unit)
 
 
 @dataclass(frozen=True)
@@ -155,13 +146,14 @@ def _line(one: SampledMode) -> _Line:
     return _Line(f, sd[0], reach[0], omega * zeta, omega * sd[1], omega * reach[1])
 
 
-def _tone(own: _Line, parents: list[_Line], rate_hz: float) -> str | None:
-    """The sentence that a line is a combination tone of the first of its stronger lines, or None."""
+def _tone(own: _Line, parents: list[_Line], rate_hz: float) -> Refusal | None:
+    """That a line is a combination tone of the first of its stronger lines, or None."""
     multiples = _multiples(parents[0], own.frequency)
-    return _agrees(own, multiples, rate_hz) or _agrees(own, _combinations(parents), rate_hz)
+    first = _agrees(own, multiples, rate_hz)
+    return _agrees(own, _combinations(parents), rate_hz) if first is None else first
 
 
-def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz: float) -> str | None:
+def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz: float) -> Refusal | None:
     chance = 0.0
     for parts in tones:
         true = abs(sum(n * line.frequency for n, line in parts))
@@ -180,14 +172,10 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
         if chance > TUNING.chance:
             return None
         if abs(f - own.frequency) < f_reach and lowest - reach < own.rate < highest + reach:
-            terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
-            aliased = ""
+            terms = " and ".join(Note.MULTIPLE(factor=abs(n), hz=line.frequency) for n, line in parts)
             if true > 0.5 * rate_hz:
-                aliased = f" ({true:.4g} Hz, aliased by the {rate_hz:.4g} Hz of sampling)"
-            return (
-                "it is not a mode of its own but a distortion of a stronger motion, caused by nonlinearity or by "
-                f"measurement errors: its frequency is that of {terms}{aliased}, and its decay rate agrees, too"
-            )
+                terms = Note.ALIASED(terms=terms, true_hz=true, rate_hz=rate_hz)
+            return Reason.TONE(terms=terms)
     return None
 
 

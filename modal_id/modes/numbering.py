@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modal_id.flags import SHAPE_DISAGREES_NOTE, ModeFlag
+from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.results import FailedMode, IdentifiedMode
+from modal_id.sentences import Note, Reason, Refusal, in_hz
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -175,6 +176,9 @@ def number_modes(
     return Numbering(tuple(numbers), tuple(values))
 
 
+_NOT_MISSING = Refusal("")
+
+
 @dataclass(frozen=True)
 class TargetChoice:
     """Index of the target mode, or None with the reason; not `requested` where it is the strongest mode by default.
@@ -183,7 +187,7 @@ class TargetChoice:
     """
 
     index: int | None
-    reason: str = ""
+    why: Refusal = _NOT_MISSING
     frequency_hz: float = float("nan")
     requested: bool = True
     fitting: FittingRate | None = None
@@ -207,24 +211,16 @@ def choose_target(
     if number is not None and number <= len(expected):
         if number in numbers and fitting is None:
             return TargetChoice(numbers.index(number))
-        seen = f"the modes found are at {', '.join(f'{f:.4g}' for f in frequencies_hz)} Hz"
-        other = "a quantity of the beam is in another unit"
+        hz = expected[number - 1]
+        seen = Note.MODES_AT(hz=in_hz(frequencies_hz))
         if number in numbers:
-            seen = f"the mode found at {frequencies_hz[numbers.index(number)]:.4g} Hz has another shape"
-        return TargetChoice(
-            None,
-            f"{'' if fitting is None else f'{fitting}; '}"
-            f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but {seen}; "
-            f"{_in_other_unit(frequencies_hz, expected[number - 1], other, ', or the beam in mm, not in m')}"
-            "check the recorded frame rate, the properties of the beam and the mode given for the recording",
-            expected[number - 1],
-            fitting=fitting,
-        )
+            seen = Note.OTHER_SHAPE(hz=frequencies_hz[numbers.index(number)])
+        unit = _in_other_unit(frequencies_hz, hz, Note.UNIT_OF_BEAM, Note.UNIT_OF_RATE_OR_BEAM)
+        before, after = (f"{clause}; " if clause else "" for clause in (fitting, unit))
+        why = Reason.NUMBER_NOT_FOUND(number=number, expected_hz=hz, seen=seen, fitting=before, unit=after)
+        return TargetChoice(None, why, hz, fitting=fitting)
     if number is not None and expected:
-        return TargetChoice(
-            None,
-            f"mode {number} is requested, but theory provides only modes 1 to {len(expected)}; give a lower number",
-        )
+        return TargetChoice(None, Reason.BEYOND_THEORY(number=number, count=len(expected)))
     target_hz = settings.target_frequency_hz
     if target_hz is not None:
         ratio = np.abs(np.log(frequencies_hz / target_hz))
@@ -254,7 +250,7 @@ def choose_target_of(
     """As `choose_target`, among the modes that are not rejected."""
     kept = np.flatnonzero(~rejected)
     if not kept.size:
-        return TargetChoice(None, "reject_hz names every mode that was found; remove one from it")
+        return TargetChoice(None, Reason.ALL_REJECTED())
     choice = choose_target(
         frequencies_hz[kept], shapes[kept], strength[kept], tuple(numbers[k] for k in kept), settings, rate_hz
     )
@@ -277,8 +273,7 @@ def numbered(
     for index, mode in enumerate(modes):
         number = found.numbers[index]
         if rejected[index]:
-            reason = "it is no mode according to reject_hz"
-            failed.append(FailedMode(reason, frequency_hz=float(frequencies_hz[index])))
+            failed.append(FailedMode.of(Reason.NO_MODE(), float(frequencies_hz[index])))
             continue
         one = replace(mode, number=number, target=index == choice.index, mac=found.macs[index])
         words = shape_disagreement(mode.shape, mode.shape_sd, number, settings)
@@ -290,32 +285,23 @@ def numbered(
 
 def missing_target(choice: TargetChoice, settings: IdentifySettings) -> FailedMode:
     """The target that was not found."""
-    return FailedMode(choice.reason, frequency_hz=choice.frequency_hz, number=settings.mode, target=True)
+    return FailedMode.of(choice.why, choice.frequency_hz, settings.mode, target=True)
 
 
-def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
-    seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
-    text = f"no mode was found within 10 % of {wanted_hz:.4g} Hz; the modes found are at {seen} Hz. "
-    if other := _in_other_unit(frequencies_hz, wanted_hz, "give the requested frequency in Hz, not in kHz"):
-        return text + other.removesuffix("; ")
-    if wanted_hz > 0.5 * rate_hz:
-        return text + (
-            f"At a sampling rate of {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at "
-            f"{apparent_hz(wanted_hz, rate_hz):.4g} Hz: record at more than {2.0 * wanted_hz:.4g} Hz or request the "
-            "alias"
-        )
-    return (
-        text + "Check the requested frequency and the recorded frame rate, with which all frequencies scale"
-    )
+def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> Refusal:
+    cause = _in_other_unit(frequencies_hz, wanted_hz, Note.UNIT_OF_TARGET, Note.UNIT_OF_RATE)
+    if not cause and wanted_hz > 0.5 * rate_hz:
+        rates = {"rate_hz": rate_hz, "alias_hz": apparent_hz(wanted_hz, rate_hz), "least_hz": 2.0 * wanted_hz}
+        cause = Note.WOULD_APPEAR(hz=wanted_hz, **rates)
+    return Reason.NOT_WITHIN(hz=wanted_hz, seen=in_hz(frequencies_hz), cause=cause or Note.CHECK_RATE())
 
 
-def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: str, below: str = "") -> str:
-    """Clause on a frequency that is a thousandth of the wanted one, or 1000 times it, which `above` explains."""
-    rate = f"give the frame rate in Hz, not in kHz{below}"
-    for factor, text, cause in ((1e-3, "a thousandth of", rate), (1e3, "1000 times", above)):
+def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: Note, below: Note) -> str:
+    """Clause on a frequency that is a thousandth of the wanted one, or 1000 times it, which the notes explain."""
+    for factor, words, cause in ((1e-3, Note.THOUSANDTH, below), (1e3, Note.THOUSANDFOLD, above)):
         near = np.abs(np.log(frequencies_hz / (factor * wanted_hz))) < MAX_LOG_RATIO
         if np.any(near):
-            return f"{frequencies_hz[near][0]:.4g} Hz is {text} it: {cause}; "
+            return words(hz=frequencies_hz[near][0], cause=cause())
     return ""
 
 
@@ -359,8 +345,8 @@ def shape_disagreement(
     error = TUNING.shape_error + noise
     odds = ((1.0 - own + error) / (1.0 - other + error)) ** (np.count_nonzero(np.isfinite(shape)) - 1)
     if odds > TUNING.least_odds:
-        return f"{SHAPE_DISAGREES_NOTE} (MAC {own:.2g}); with the clamp at the other end {other:.2g}."
-    return f"{SHAPE_DISAGREES_NOTE} (MAC {own:.2g})." if own + noise < OTHER_SHAPE_MAC else ""
+        return Note.SHAPE_TURNED(mac=own, turned_mac=other)
+    return Note.SHAPE_DISAGREES(mac=own) if own + noise < OTHER_SHAPE_MAC else ""
 
 
 def _mac(shape: ComplexArray, number: int | None, settings: IdentifySettings) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from modal_id.data import FitData
+from modal_id.sentences import Reason, Refusal
 from modal_id.solve import LinearSolution
 from tracker import BoolArray, ComplexArray, Failure, FloatArray, PositionErrors
 
@@ -298,14 +299,14 @@ def beam_curvature(
     good = np.isfinite(position_mm) & np.isfinite(shape) & np.isfinite(sd) & (sd > 0.0)
     x, values, error = position_mm[good] / length_mm, shape[good], sd[good]
     spacing = float(np.ptp(x)) / max(x.size - 1, 1) if x.size else np.nan
-    reason = _unknown_ends(x, spacing)
-    if reason:
-        return Failure(reason)
+    unknown = _unknown_ends(x, spacing)
+    if unknown is not None:
+        return unknown
     real = np.real(in_phase(values, error))
     number = _dominant(x, real, error)
     least = number + TUNING.free_beyond + TUNING.more_stations
     if x.size < least:
-        return Failure(f"{x.size} stations are too few for a shape of mode {number}: {least} are needed")
+        return Reason.FEW_STATIONS(found=x.size, number=number, least=least)
     at = position_mm if at_mm is None else at_mm
     second = _basis(at / length_mm, number + TUNING.free_beyond + TUNING.restrained)[1]
     end_sd = np.full(2, TUNING.end_sd * spacing) if end_sd_mm is None else np.array(end_sd_mm) / length_mm
@@ -314,16 +315,13 @@ def beam_curvature(
     return Curvature(at, per_m2 * value, per_m2 * np.sqrt(variance), factor)
 
 
-def _unknown_ends(x: FloatArray, spacing: float) -> str:
-    """Why the boundary conditions at the ends are unknown; empty where the stations reach both."""
+def _unknown_ends(x: FloatArray, spacing: float) -> Refusal | None:
+    """Why the boundary conditions at the ends are unknown; None where the stations reach both."""
     if not spacing > 0.0:
-        return "the free length of the beam, or the places of the stations along it, are unknown"
+        return Reason.UNKNOWN_LENGTH()
     if max(x.min(), 1.0 - x.max()) <= TUNING.largest_gap * spacing and x.min() >= 0.0 and x.max() <= 1.0:
-        return ""
-    return (
-        f"the stations reach from {100.0 * x.min():.0f} to {100.0 * x.max():.0f} % of the free length: what the beam "
-        "does at an end that they do not show is unknown"
-    )
+        return None
+    return Reason.UNKNOWN_ENDS(first_percent=100.0 * x.min(), last_percent=100.0 * x.max())
 
 
 def _dominant(x: FloatArray, real: FloatArray, error: FloatArray) -> int:

@@ -13,6 +13,7 @@ from modal_id.modes import FittedDecay
 from modal_id.pieces.fit_pieces import Piece, PieceFitter
 from modal_id.record import Segment
 from modal_id.segments import RecordParts, holds_a_decay, record_start, strongest_is_driven
+from modal_id.sentences import Note, Refusal
 from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
 from tracker import ComplexArray, DisplacementSeries, FloatArray
 
@@ -84,9 +85,6 @@ def _differences(model: ModalFit, index: int) -> ComplexArray:
     return np.array(found, dtype=complex)
 
 
-_ROUGH = "Free decays leave {:.2g} % of the power: the intervals include the differences between parts of the decay."
-
-
 @dataclass(frozen=True)
 class DecayFits:
     """Fitted decays and driven stretches of a record, its segments, and why the other decays have no fit."""
@@ -94,7 +92,7 @@ class DecayFits:
     decays: tuple[FittedDecay, ...]
     driven: tuple[FittedDecay, ...]
     segments: tuple[Segment, ...]
-    reasons: tuple[str, ...]
+    reasons: tuple[Refusal, ...]
 
 
 def fit_decays(
@@ -125,7 +123,7 @@ def fit_decays(
         driven += others
     if not decays and not driven:
         decays, segments = _rough_decay(fitter.rough, segments)
-    reasons = tuple(dict.fromkeys(one.reason for one in pieces if one.reason))
+    reasons = tuple(one.why for one in pieces if one.why is not None)
     return DecayFits(tuple(decays), tuple(driven), tuple(segments), reasons)
 
 
@@ -140,8 +138,8 @@ def _with_drives(pieces: tuple[Piece, ...]) -> list[Piece]:
         if one.fit is None or one.fit.onset.source == "user":
             continue
         if strongest_is_driven(one.fit.model, model):
-            note = "The motion is steady until it changes."
-            found[k] = replace(one, segment=replace(one.segment, kind="driven", note=note))
+            driven = replace(one.segment, kind="driven", note=Note.STEADY_UNTIL_CHANGE())
+            found[k] = replace(one, segment=driven)
     return found
 
 
@@ -153,7 +151,7 @@ def _driven_stretches(
     for stretch in (s for s in parts.segments if s.kind == "driven"):
         onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
         one = fitter.fit(onset, stretch.end_s)
-        if isinstance(one, str):
+        if isinstance(one, Refusal):
             continue
         if holds_a_decay(one.model):
             onset = record_start(stretch.start_s)
@@ -172,5 +170,5 @@ def _rough_decay(
     if one is None or share > TUNING.most_rough:
         return [], segments
     segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
-    segments.append(Segment("decay", one.onset.time_s, one.end_s, _ROUGH.format(100.0 * share)))
+    segments.append(Segment("decay", one.onset.time_s, one.end_s, Note.ROUGH(percent=100.0 * share)))
     return [replace(one, model=with_spread(one.model))], segments

@@ -32,6 +32,7 @@ from modal_id.segments import (
     no_line,
     without_clicks,
 )
+from modal_id.sentences import Note, Reason, Refusal
 from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
 from tracker import BoolArray, DisplacementSeries, FloatArray
 
@@ -174,11 +175,11 @@ def _projected(columns: FloatArray, weights: FloatArray, values: FloatArray) -> 
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of a decay: its segment, and its fit or the reason why there is none (empty for a short piece)."""
+    """A piece of a decay: its segment, and its fit or the reason why there is none (None for a short piece)."""
 
     segment: Segment
     fit: FittedDecay | None = None
-    reason: str = ""
+    why: Refusal | None = None
 
 
 @dataclass(frozen=True)
@@ -218,11 +219,11 @@ class PieceFitter:
         while waiting:
             onset, end_s, otherwise = waiting.pop()
             one = self.fit(onset, end_s)
-            if isinstance(one, str) and isinstance(released := self._released(onset, end_s), FittedDecay):
-                held = Segment("disturbed", onset.time_s, released.onset.time_s, "Held until the release.")
+            if isinstance(one, Refusal) and isinstance(released := self._released(onset, end_s), FittedDecay):
+                held = Segment("disturbed", onset.time_s, released.onset.time_s, Note.HELD_UNTIL_RELEASE())
                 yield Piece(held)
                 onset, one = released.onset, released
-            if isinstance(one, str):
+            if isinstance(one, Refusal):
                 note = onset.note if otherwise == "decay" else ""
                 yield Piece(Segment(otherwise, onset.time_s, end_s, note), None, one)
                 continue
@@ -234,8 +235,8 @@ class PieceFitter:
             change = self._change(one) if splits > 0 else None
             splits -= 1
             if change is None:
-                reason = _unexplained(onset, end_s, left)
-                yield Piece(Segment("disturbed", onset.time_s, end_s, f"{reason}."), None, reason)
+                why = _unexplained(onset, end_s, left)
+                yield Piece(Segment("disturbed", onset.time_s, end_s, f"{why.reason}."), None, why)
                 continue
             before, after = _divided(one, change)
             kinds: tuple[SegmentKind, SegmentKind] = ("disturbed", "disturbed")
@@ -245,8 +246,7 @@ class PieceFitter:
                 if end - begin.fit_from_s > TUNING.least_cycles * _cycle_s(one):
                     waiting.append((begin, end, kind))
                 else:
-                    note = "The motion changes before and after."
-                    yield Piece(Segment("disturbed", begin.time_s, end, note))
+                    yield Piece(Segment("disturbed", begin.time_s, end, Note.CHANGES_AROUND()))
 
     def _change(self, one: FittedDecay) -> Boundary | None:
         """Where the motion changes, relative to the fit's data; None where these are too few."""
@@ -263,7 +263,7 @@ class PieceFitter:
         found = locate_boundary(thin, 0.0, limits, float(thin.time_s[-1]), cycle_s, self.lowest_hz)
         return found or Boundary(*limits, change.place.sd_s)
 
-    def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
+    def _released(self, onset: Onset, end_s: float) -> FittedDecay | Refusal | None:
         """Fit from a release within a decay of few cycles that begins with the record."""
         if onset.source != "record start":
             return None
@@ -274,7 +274,7 @@ class PieceFitter:
         when = found.time_s + onset.time_s
         return self.fit(replace(found, time_s=when, fit_from_s=when), end_s)
 
-    def fit(self, onset: Onset, end_s: float) -> FittedDecay | str:
+    def fit(self, onset: Onset, end_s: float) -> FittedDecay | Refusal:
         """Fit of one piece, or the reason why there is none."""
         series, used = self.series, self.used
         time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
@@ -283,10 +283,7 @@ class PieceFitter:
         )
         found = inside.stop - inside.start
         if found < MIN_SAMPLES:
-            return (
-                f"only {max(found, 0)} samples follow the start of the free decay at {onset.time_s:.4g} s until "
-                f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
-            )
+            return Reason.FEW_AFTER_ONSET(found=max(found, 0), onset_s=onset.time_s, end_s=end_s)
         # A view of the values, and of the weights where none becomes 0: no fit changes them.
         data = used.data.rows(inside)
         left_out = (self.disturbed | used.repeated)[inside]
@@ -295,7 +292,7 @@ class PieceFitter:
         if model is None:
             names = [series.channels[i] for i in used.channels]
             if used.projection is not None:
-                names = [f"component {q + 1}" for q in range(data.values.shape[1])]
+                names = [Note.COMPONENT(number=q + 1) for q in range(data.values.shape[1])]
             return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
         model, clicks = without_clicks(model, data.weights)
         data = _without(data, clicks)
@@ -362,12 +359,10 @@ def _divided(one: FittedDecay, change: Boundary) -> list[tuple[Onset, float]]:
     return [(one.onset, origin_s + change.end_s), (after, one.end_s)]
 
 
-def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
-    return (
-        f"the motion from {onset.fit_from_s:.4g} s to {end_s:.4g} s is not a sum of free decays: "
-        f"{100.0 * left.share:.2g} % of its power is left, most of it about "
-        f"{onset.fit_from_s + 0.5 * (left.start_s + left.end_s):.4g} s; set onset_s and end_s to a free decay"
-    )
+def _unexplained(onset: Onset, end_s: float, left: Misfit) -> Refusal:
+    start_s, percent = onset.fit_from_s, 100.0 * left.share
+    most_s = start_s + 0.5 * (left.start_s + left.end_s)
+    return Reason.NOT_FREE_DECAYS(start_s=start_s, end_s=end_s, percent=percent, most_s=most_s)
 
 
 def _is_one_curve(model: ModalFit) -> bool:

@@ -30,6 +30,7 @@ from modal_id.results import (
     Posterior,
     SampledDraws,
 )
+from modal_id.sentences import Note, Reason
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -116,7 +117,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     try:
         draws = sample(found.density, correlation, settings.sampler, streams)
     except SamplingError as error:
-        return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", frequency_hz=found.frequency_hz)
+        return FailedMode.of(Reason.NOT_SAMPLED(hz=found.frequency_hz, error=error), found.frequency_hz)
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
     sampled = SampledDraws(frequencies, zetas, draws.log_density, found.density.noise.dof)
     undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
@@ -150,12 +151,8 @@ def _undetermined(frequency_hz: float, frequencies_hz: FloatArray, zetas: FloatA
     sd_hz, zeta_sd = float(np.std(frequencies_hz)), float(np.std(zetas))
     if sd_hz < TUNING.hardly_known * frequency_hz or 2.0 * zeta_sd < float(np.median(zetas)):
         return None
-    return FailedMode(
-        f"the record does not determine the motion near {frequency_hz:.3g} Hz (standard deviation {sd_hz:.2g} Hz, that "
-        f"of the damping ratio {100.0 * zeta_sd:.2g} %): it may be a drift instead of a vibration; film a free decay "
-        "of at least ten cycles",
-        frequency_hz=frequency_hz,
-    )
+    why = Reason.MAY_BE_DRIFT(hz=frequency_hz, sd_hz=sd_hz, zeta_sd_percent=100.0 * zeta_sd)
+    return FailedMode.of(why, frequency_hz)
 
 
 def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
@@ -168,19 +165,11 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     amplitude_fit = fit_amplitude_dependence(own.problem, own.fit, 0)
     noise = noise_level(model, amplitude_fit, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
-        return FailedMode(
-            f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is a forced vibration, a "
-            "hum, or noise; record the free decay after the stop",
-            frequency_hz=frequency,
-        )
+        return FailedMode.of(Reason.FORCED(hz=frequency, zeta=zeta), frequency)
     reach = REACH_SD * noise.factor * float(np.max(model.fit.pole_sd[index]))
     likelihood = reduce_mode(model.problem, model.fit, index, _coupled(model.fit.covariance, index), reach)
     if likelihood is None:
-        return FailedMode(
-            f"this record hardly determines frequency and damping near {frequency:.4g} Hz; "
-            "a longer record or less noise is needed",
-            frequency_hz=frequency,
-        )
+        return FailedMode.of(Reason.HARDLY_DETERMINED(hz=frequency), frequency)
     density = PoleDensity(
         likelihood,
         (abs(pole), zeta),
@@ -288,16 +277,11 @@ def with_rate_error(found: Identification) -> Identification:
     ppm = found.series.rate_sd_ppm
     if ppm == 0.0:
         return found
-    note = (
-        f"The frame rate is known to {ppm:g} ppm (relative sd): the interval of every frequency includes it. The error "
-        "is common to all modes and to all recordings of one camera, and does not affect damping ratios. If the rate "
-        "is known better, give fps_tolerance_ppm."
-    )
     return replace(
         found,
         modes=tuple(_widened(mode, ppm) for mode in found.modes),
         driven=tuple(_widened_line(line, ppm) for line in found.driven),
-        notes=(*found.notes, note),
+        notes=(*found.notes, Note.RATE_ERROR(ppm=ppm)),
     )
 
 

@@ -16,6 +16,7 @@ from emcee.state import State
 from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.posterior.likelihood import REACH_SD, PoleDensity
+from modal_id.sentences import Reason
 from modal_id.settings import SamplerSettings
 from tracker import BoolArray, FloatArray
 
@@ -223,15 +224,10 @@ def sample(
     try:
         stacked, log_density, acceptance, tau, enough = _run(density, correlation, settings, streams)
     except (np.linalg.LinAlgError, ValueError) as error:
-        msg = f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
-        raise SamplingError(msg) from error
+        raise SamplingError(Reason.NO_STEPS(error=error)) from error
     r_hat = (_split_r_hat(stacked[..., 0]), _split_r_hat(stacked[..., 1]))
     if max(r_hat) > settings.max_r_hat:
-        msg = (
-            f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} is allowed); "
-            "a longer record or less noise is needed"
-        )
-        raise SamplingError(msg)
+        raise SamplingError(Reason.ENSEMBLES_DISAGREE(r_hat=max(r_hat), most=settings.max_r_hat))
     ess = 0.5 * stacked.size / np.max(tau, axis=0)
     draws = stacked.reshape(stacked.shape[0], -1, 2)
     return Draws(
@@ -259,8 +255,7 @@ def _run(
     count, walkers = len(streams), settings.walkers
     proposal = polar_proposal(density, correlation, REACH_SD)
     if proposal is None:
-        msg = "the likelihood is not finite near the fitted mode; check the data"
-        raise SamplingError(msg)
+        raise SamplingError(Reason.NOT_FINITE())
     generators = [np.random.default_rng(stream) for stream in streams]
     start = [_first_walkers(density, proposal, walkers, generator) for generator in generators]
     move = IndependenceMove(proposal, generators)
@@ -278,8 +273,7 @@ def _run(
         tau = autocorrelation_times(chains)
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
-        msg = "no proposal was accepted; the record hardly determines this mode's parameters"
-        raise SamplingError(msg)
+        raise SamplingError(Reason.NONE_ACCEPTED())
     values = np.moveaxis(sampler.get_log_prob().reshape(steps, count, walkers), 1, 0)
     acceptance = float(np.mean(sampler.acceptance_fraction))
     return np.ascontiguousarray(chains), values, acceptance, tau, long_enough
@@ -294,8 +288,7 @@ def _first_walkers(
         good = np.concatenate([good, trial[np.isfinite(density(trial))]])
         if good.shape[0] >= walkers:
             return good[:walkers]
-    msg = "the likelihood is not finite near the fitted mode; check the data"
-    raise SamplingError(msg)
+    raise SamplingError(Reason.NOT_FINITE())
 
 
 def autocorrelation_times(chains: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from scipy.fft import irfft, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from modal_id.data import runs
+from modal_id.sentences import Reason, Refusal
 from modal_id.solve import mode_functions
 from tracker import BoolArray, ComplexArray, DisplacementSeries, FloatArray, KnownInput
 
@@ -56,7 +57,7 @@ class Tuning:
 TUNING = Tuning()
 
 
-def sparse_outputs(series: DisplacementSeries, known: KnownInput) -> str | None:
+def sparse_outputs(series: DisplacementSeries, known: KnownInput) -> Refusal | None:
     """Why the outputs do not belong to the rows of the input; None where they do, or where there are none at all."""
     recorded = np.any(np.isfinite(series.values), axis=1)
     rows = np.flatnonzero(recorded)
@@ -65,13 +66,10 @@ def sparse_outputs(series: DisplacementSeries, known: KnownInput) -> str | None:
     share = float(np.mean(recorded[rows[0] : rows[-1] + 1]))
     if share >= TUNING.least_outputs:
         return None
-    return (
-        f"the outputs have a value in {100.0 * share:.0f} % of the rows of the input {known.name}: they were recorded "
-        "at a lower rate; low-pass the input, and give it at the times of the outputs"
-    )
+    return Reason.OUTPUTS_SPARSE(percent=100.0 * share, input=known.name)
 
 
-def unusable(values: FloatArray, recorded: BoolArray, known: KnownInput) -> str | None:
+def unusable(values: FloatArray, recorded: BoolArray, known: KnownInput) -> Refusal | None:
     """Why an input cannot be used; None where it can.
 
     Parameters
@@ -85,29 +83,17 @@ def unusable(values: FloatArray, recorded: BoolArray, known: KnownInput) -> str 
     seen = np.isfinite(values)
     missing = float(np.mean(~seen[recorded]))
     if missing > TUNING.most_missing:
-        return (
-            f"the input {known.name} is missing in {100.0 * missing:.0f} % of the samples, more than "
-            f"{100.0 * TUNING.most_missing:.0f} %: record it throughout and at the rate of the outputs, cut the record "
-            "by onset_s and end_s to where it is given, or identify the outputs alone"
-        )
+        percent, most = 100.0 * missing, 100.0 * TUNING.most_missing
+        return Reason.INPUT_MISSING(input=known.name, percent=percent, most_percent=most)
     values = values[seen]
     spread = float(np.std(values))
     if np.ptp(values) == 0.0 or spread < 2.0 * known.sd:
-        return (
-            f"the input {known.name} does not move (standard deviation {spread:.3g} {known.unit}, noise "
-            f"{known.sd:.3g}): identify the outputs alone, as a free decay"
-        )
+        return Reason.INPUT_STILL(input=known.name, sd=spread, unit=known.unit, noise=known.sd)
     apart = np.diff(np.flatnonzero(np.diff(values)))
     if apart.size >= TUNING.least_changes and np.min(apart) > 1:
-        return (
-            f"the input {known.name} keeps each value for {np.median(apart):.0f} samples: it was recorded at a "
-            "lower rate than the outputs; record it at their rate, or give both at the times at which it was recorded"
-        )
+        return Reason.INPUT_HELD(input=known.name, count=np.median(apart))
     if _is_clipped(values):
-        return (
-            f"the input {known.name} is clipped: many samples share its extreme value, so that the true input is not "
-            "known; reduce the amplitude or use a larger range"
-        )
+        return Reason.INPUT_CLIPPED(input=known.name)
     return None
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
-from modal_id.flags import INPUT_INCOMPLETE_NOTE, INPUT_LATE_NOTE, ModeFlag
+from modal_id.flags import ModeFlag
 from modal_id.mode_values import FrequencyResponse
 from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
@@ -22,6 +22,7 @@ from modal_id.response.noise import InputNoise
 from modal_id.response.solution import TUNING as FRF
 from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
+from modal_id.sentences import Note, Reason, Refusal, in_hz
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz, modal_slopes
 from tracker import DisplacementSeries, Failure, FloatArray, KnownInput
@@ -82,49 +83,37 @@ def identify_response(series: DisplacementSeries, settings: IdentifySettings) ->
         raise ValueError(msg)
     problem = sparse_outputs(series, known)
     prepared = prepare(series) if problem is None else problem
-    if isinstance(prepared, str):
-        return Failure(prepared, series.name)
+    if isinstance(prepared, Refusal):
+        return prepared.at(series.name)
     samples = _samples(series, prepared, known, settings)
-    if isinstance(samples, str):
-        return Failure(samples, series.name)
+    if isinstance(samples, Refusal):
+        return samples.at(series.name)
     rows, data = samples
     found = _fitted(data, known, settings)
-    if isinstance(found, str):
-        return Failure(found, series.name)
-    if found is None:
-        reason = (
-            f"no mode exceeds the noise in the response to {known.name}; excite the structure over the frequencies of "
-            "its modes, or identify the outputs alone"
-        )
-        return Failure(reason, series.name)
+    if isinstance(found, Refusal):
+        return found.at(series.name)
     return with_rate_error(_assembled(series, prepared, rows, known, found, settings))
 
 
-def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | str | None:
-    """The fit, with the lag of the input as asked for; why there is none; None where no mode exceeds the noise."""
+def _fitted(data: Samples, known: KnownInput, settings: IdentifySettings) -> ResponseFit | Refusal:
+    """The fit, with the lag of the input as asked for, or why there is none."""
     options = settings.max_modes, settings.lowest_hz, known.sd
     if settings.input_lag_ms == "auto":
         found = fit_with_lag(data, *options)
-        if not isinstance(found, str):
-            return found
-        return (
-            f"the lag of the input {known.name} {found}: the input may be that of another record, or late by more; "
-            "bring both to the same clock, and give what is left by input_lag_ms"
-        )
-    if settings.input_lag_ms is None:
-        return fit_response(data, *options)
-    lag_s = 1e-3 * settings.input_lag_ms
-    if abs(lag_s) > TUNING.most_lag * data.span_s:
-        return (
-            f"the lag of the input {known.name}, {settings.input_lag_ms:g} ms, leaves less than "
-            f"{100.0 * (1.0 - TUNING.most_lag):.0f} % of the record of {data.span_s:.3g} s: bring both to one clock"
-        )
-    return fit_response(data.late(Channel.through(data.time_s, data.input), lag_s), *options)
+        if isinstance(found, Refusal):
+            return Reason.NO_LAG(input=known.name, problem=found)
+        return found or Reason.NO_RESPONSE(input=known.name)
+    if settings.input_lag_ms is not None:
+        lag_ms, percent = settings.input_lag_ms, 100.0 * (1.0 - TUNING.most_lag)
+        if abs(1e-3 * lag_ms) > TUNING.most_lag * data.span_s:
+            return Reason.LAG_LONG(input=known.name, lag_ms=lag_ms, percent=percent, span_s=data.span_s)
+        data = data.late(Channel.through(data.time_s, data.input), 1e-3 * lag_ms)
+    return fit_response(data, *options) or Reason.NO_RESPONSE(input=known.name)
 
 
 def _samples(
     series: DisplacementSeries, prepared: Prepared, known: KnownInput, settings: IdentifySettings
-) -> tuple[slice, Samples] | str:
+) -> tuple[slice, Samples] | Refusal:
     """Rows of the series and samples of the fit, or why there are none."""
     first = prepared.first_row
     end_s = np.inf if settings.end_s is None else settings.end_s
@@ -136,7 +125,7 @@ def _samples(
     inside[first + prepared.repeated.size :] = False
     used = np.flatnonzero(inside)
     if used.size < MIN_SAMPLES:
-        return f"only {used.size} samples lie within onset_s and end_s, but at least {MIN_SAMPLES} are needed"
+        return Reason.FEW_WITH_INPUT(found=used.size, least=MIN_SAMPLES)
     rows = slice(int(used[0]), int(used[-1]) + 1)
     values = known.values[rows]
     problem = unusable(values, np.asarray(np.any(np.isfinite(series.values[rows]), axis=1)), known)
@@ -145,16 +134,11 @@ def _samples(
     start, stop = _longest_part(series.time_s[rows], values)
     rows, values = slice(rows.start + start, rows.start + stop), values[start:stop]
     if values.size < MIN_SAMPLES:
-        return (
-            f"the input {known.name} is recorded for {values.size} samples in a row, {MIN_SAMPLES} are needed"
-        )
+        return Reason.FEW_OF_INPUT(input=known.name, found=values.size, least=MIN_SAMPLES)
     own = slice(rows.start - first, rows.stop - first)
     time_s, places = _with_omitted_rows(series.time_s[rows] - series.time_s[rows.start])
     if time_s.size > TUNING.most_rows * values.size:
-        return (
-            f"the samples lie in bursts: {time_s.size - values.size} of {time_s.size} are missing at their usual step; "
-            "give one burst by onset_s and end_s"
-        )
+        return Reason.BURSTS(missing=time_s.size - values.size, count=time_s.size)
     given = np.zeros((time_s.size, prepared.channels.size), dtype=bool)
     outputs, full = np.zeros(given.shape), np.full(time_s.size, np.nan)
     given[places] = prepared.data.weights[own] > 0.0
@@ -212,19 +196,16 @@ def _assembled(
     failed = [one for one in listed if isinstance(one, FailedMode)]
     modes = [one for one in listed if isinstance(one, IdentifiedMode)]
     if settings.input_lag_ms is None and (late_s := better_lag(found)) is not None:
-        late = (
-            f"{INPUT_LATE_NOTE} {known.name} better with a lag of {1e3 * late_s:.3g} ms: bring both to one clock, or "
-            'give input_lag_ms (a number or "auto").'
-        )
+        late = Note.INPUT_LATE(input=known.name, lag_ms=1e3 * late_s)
         modes = [mode.with_flags([ModeFlag.INPUT_LATE], late) for mode in modes]
     kept, others = numbered(modes, settings, 1.0 / samples.step_s)
     start_s, end_s = float(series.time_s[rows.start]), float(series.time_s[rows.stop - 1])
     whole = rows.stop - rows.start == series.time_s.size
-    part = "from the first sample to the last" if whole else f"from {start_s:.4g} to {end_s:.4g} s"
+    part = Note.WHOLE() if whole else Note.PART(start_s=start_s, end_s=end_s)
     missing = np.flatnonzero(np.isnan(known.values))
     if np.any((missing < rows.start) | (missing >= rows.stop)):
-        part += ", the longest part without a gap of the input"
-    note = f"The response to {known.name} was fitted, {part}."
+        part = Note.WITHOUT_GAP(part=part)
+    note = Note.RESPONSE(input=known.name, part=part)
     return Identification(
         series=series,
         onset=Onset(start_s, 0.0, start_s, "record start", 1.0, note),
@@ -264,9 +245,8 @@ def _mode(
     slopes = modal_slopes(pole)
     sd = np.sqrt(np.diag(slopes @ own @ slopes.T))
     if sd[1] > (TUNING.most_unexplained_sd if unexplained else TUNING.most_relative_sd) * zeta:
-        more = unexplained.removesuffix(".") or "excite it longer or more strongly"
-        reason = f"the response does not determine its damping ratio ({zeta:.3g}, sd {sd[1]:.2g}): {more}"
-        return FailedMode(reason, frequency_hz=hz)
+        advice = unexplained.removesuffix(".") or Note.EXCITE()
+        return FailedMode.of(Reason.DAMPING_OPEN(zeta=zeta, sd=sd[1], advice=advice), hz)
     driven = found.driven[index]
     values, errors = participation(
         found, index, is_force=known.is_force, of_acceleration=series.unit in _ACCELERATION
@@ -357,18 +337,10 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
     if not most.size:
         return ()
     if not given.known:
-        unknown = (
-            f"The noise of the input {known.name} is unknown: its spectrum has no flat floor. What the fit leaves at "
-            f"the resonances gives {sd:.2g} {known.unit}, at most {np.sqrt(given.variance):.2g}. Give it: record the "
-            "input at rest for a second, and state its standard deviation."
-        )
-        return (unknown,)
-    names = ", ".join(f"{hz:.4g} Hz" for hz in most)
-    note = (
-        f"Noise of the input {known.name} ({sd:.2g} {known.unit}, {given.text}) exceeds that of the outputs at the "
-        f"resonance of {names}: it was corrected for, and determines the intervals. A less noisy sensor narrows them."
-    )
-    return (note,)
+        largest = np.sqrt(given.variance)
+        return (Note.NOISE_UNKNOWN(input=known.name, sd=sd, unit=known.unit, most=largest),)
+    places = ", ".join(f"{hz:.4g} Hz" for hz in most)
+    return (Note.NOISE_LARGE(input=known.name, sd=sd, unit=known.unit, source=given.text, hz=places),)
 
 
 def _unexplained(found: ResponseFit, lowest_hz: float) -> str:
@@ -376,12 +348,8 @@ def _unexplained(found: ResponseFit, lowest_hz: float) -> str:
     places = candidates(found, lowest_hz, criterion(found.samples))
     if not places:
         return ""
-    names = ", ".join(f"{hz:.4g}" for hz in sorted(set(np.round(frequency_hz(np.array(places)), 1))))
-    return (
-        f"{INPUT_INCOMPLETE_NOTE} {names} Hz follows the input as modes would that the record does not determine. "
-        "Allow more modes (max_modes); filter the input below half the sampling rate before it is sampled, or raise "
-        'that rate; bring input and outputs to one clock (input_lag_ms = "auto").'
-    )
+    frequencies = sorted(set(np.round(frequency_hz(np.array(places)), 1)))
+    return Note.INPUT_INCOMPLETE(hz=in_hz(frequencies))
 
 
 def _response(

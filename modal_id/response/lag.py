@@ -20,6 +20,7 @@ from modal_id.response.known_input import (
     with_free_lag,
 )
 from modal_id.response.solution import ResponseFit, solve_at, with_lag_variance
+from modal_id.sentences import Reason, Refusal
 from tracker import ComplexArray, FloatArray
 
 
@@ -73,7 +74,7 @@ TUNING = Tuning()
 
 def fit_with_lag(
     samples: Samples, max_modes: int, lowest_hz: float, input_sd: float
-) -> ResponseFit | str | None:
+) -> ResponseFit | Refusal | None:
     """Modes and the lag of the input; why there is no lag; or None where no mode exceeds the noise.
 
     The residues of all modes are free complex numbers, which take up the phase of a lag at the resonances: modes are
@@ -102,17 +103,17 @@ def fit_with_lag(
         moved_s, lag_s = found.samples.lag_s - lag_s, found.samples.lag_s
         other_s = most_likely_lag(found, channel, limit_s)
         if abs(other_s) >= limit_s - samples.step_s:
-            return f"lies at the limit of the search, {1e3 * limit_s:.3g} ms"
+            return Reason.LAG_AT_LIMIT(limit_ms=1e3 * limit_s)
         if abs(other_s - lag_s) > samples.step_s:
             lag_s = other_s
         elif found.lag_sd_s > limit_s:
-            return f"is not determined: its standard deviation is {1e3 * found.lag_sd_s:.3g} ms"
+            return Reason.LAG_UNCERTAIN(sd_ms=1e3 * found.lag_sd_s)
         elif abs(moved_s) < TUNING.settled * found.lag_sd_s:
             better_s = _lag_of_fewer_modes(found, channel, limit_s)
             if better_s is None:
                 return _with_posterior(found, limit_s)
             lag_s = better_s
-    return "is not unique: several explain the outputs alike"
+    return Reason.LAG_AMBIGUOUS()
 
 
 def _with_all_modes(
@@ -151,7 +152,7 @@ def _lag_of_fewer_modes(found: ResponseFit, channel: Channel, limit_s: float) ->
     return None
 
 
-def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | str:
+def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | Refusal:
     """The fit at the mean lag of the posterior, with its standard deviation; why there is none.
 
     The likelihood may be flat between two maxima, of which the iteration finds one with the curvature there. The poles
@@ -177,7 +178,7 @@ def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | str:
             least = min(least, own)
         ends.append(before_s + turn * reach_s)
     if np.max(np.abs(ends)) >= limit_s:
-        return f"is not determined: {1e3 * ends[0]:.3g} to {1e3 * ends[1]:.3g} ms explain the outputs alike"
+        return Reason.LAG_WIDE(low_ms=1e3 * ends[0], high_ms=1e3 * ends[1])
     lags, odds = _probable(score, ends[0], ends[1])
     lag_s = float(np.sum(odds * lags) / np.sum(odds))
     variance = float(np.sum(odds * (lags - lag_s) ** 2) / np.sum(odds))

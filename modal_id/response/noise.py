@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import blackmanharris
 
 from modal_id.response.columns import Samples
+from modal_id.sentences import Note
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -96,7 +97,7 @@ class InputNoise:
         (doi:10.1109/PROC.1978.10837): the ends of a record leak less than that into the floor.
         """
         if np.isfinite(stated_sd):
-            return cls(stated_sd**2, known=True, text="as stated")
+            return cls(stated_sd**2, known=True, text=Note.STATED())
         values = samples.drive.at_samples()
         n = values.size
         window = blackmanharris(n, sym=False)
@@ -117,7 +118,7 @@ class InputNoise:
         if not (flat and contrast and own.size > TUNING.least_cover * used.size):
             return cls(value, known=False, text="unknown")
         hz = (np.flatnonzero(floor)[[0, -1]] + 4 + size // 2) * (n - 1) / (n * samples.span_s)
-        return cls(value, known=True, text=f"from the floor of its spectrum, {hz[0]:.4g} to {hz[1]:.4g} Hz")
+        return cls(value, known=True, text=Note.FLOOR(low_hz=hz[0], high_hz=hz[1]))
 
 
 def noise_after(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal_id.sentences import Reason, Refusal
 from tracker import FloatArray
 
 
@@ -31,7 +32,7 @@ class Tuning:
 TUNING = Tuning()
 
 
-def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray | str:
+def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray | Refusal:
     """Values of an input, low-passed to the rate of the outputs; a reason where it was recorded slower.
 
     Parameters
@@ -43,7 +44,7 @@ def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) 
 
     Returns
     -------
-    array, shape (k,), or str
+    array, shape (k,), or Refusal
         NaN where the input was not recorded. Frequencies up to 0.6 of the outputs' Nyquist frequency are unchanged to
         2e-4; an impact that is shorter than a step keeps its momentum.
 
@@ -60,10 +61,7 @@ def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) 
     step_s = float(np.median(np.diff(time_s)))
     rate, own_rate = 1.0 / float(np.median(steps_s)), 1.0 / step_s
     if rate < TUNING.least_rate * own_rate:
-        return (
-            f"it was recorded at {rate:.4g} Hz, slower than the outputs at {own_rate:.4g} Hz: record it at their rate "
-            "at least"
-        )
+        return Reason.INPUT_SLOWER(rate_hz=rate, own_hz=own_rate)
     reach_s = TUNING.half_length * step_s
     first, last = np.searchsorted(given_s, time_s - reach_s), np.searchsorted(given_s, time_s + reach_s)
     found = np.full(time_s.size, np.nan)

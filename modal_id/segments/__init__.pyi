@@ -22,9 +22,6 @@ from .find_onset import no_onset as no_onset
 from .find_onset import record_start as record_start
 from .find_onset import settling_s as settling_s
 from .find_onset import user_onset as user_onset
-from .narrate import no_line as no_line
-from .narrate import seen as seen
-from .narrate import whole_record as whole_record
 from .partition import best_division as best_division
 from .partition import find_changes as find_changes
 from .partition import likeliest_change as likeliest_change
@@ -32,3 +29,5 @@ from .partition import stretch_costs as stretch_costs
 from .spikes import click_segments as click_segments
 from .spikes import without_clicks as without_clicks
 from .spikes import without_spikes as without_spikes
+from .whole_record import no_line as no_line
+from .whole_record import whole_record as whole_record

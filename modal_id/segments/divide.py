@@ -29,6 +29,7 @@ from modal_id.segments.find_onset import (
 from modal_id.segments.lines import Tones, find_tones, line_blocks, without_swing
 from modal_id.segments.partition import Change, likeliest_change
 from modal_id.segments.spikes import without_spikes
+from modal_id.sentences import Note, Reason, Refusal
 from tracker import BoolArray, FloatArray
 
 
@@ -119,21 +120,21 @@ class RecordParts:
         Samples within a decay to leave out: a click after which the motion goes on.
     none : Onset
         Where there is no decay: what the record shows instead.
+    why : Refusal
+        The same.
     """
 
     decays: tuple[Decay, ...]
     segments: tuple[Segment, ...]
     disturbed: BoolArray
     none: Onset
+    why: Refusal = Reason.NO_DECAY()  # noqa: RUF009 - frozen
 
     def shifted(self, by_s: float) -> RecordParts:
         """The same with all times later by `by_s`."""
-        return RecordParts(
-            tuple(Decay(_shifted(d.onset, by_s), d.end_s + by_s) for d in self.decays),
-            tuple(replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in self.segments),
-            self.disturbed,
-            self.none,
-        )
+        decays = tuple(Decay(_shifted(d.onset, by_s), d.end_s + by_s) for d in self.decays)
+        segments = (replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in self.segments)
+        return replace(self, decays=decays, segments=tuple(segments))
 
 
 def divide(
@@ -227,7 +228,7 @@ class _Division:
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
         for burst in (e for e in events if e.kind == "burst"):
             self.disturbed |= data.inside(burst.start_s, burst.end_s)
-            self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
+            self._add("disturbed", burst.start_s, burst.end_s, Note.CLICK())
         kept = [e for e in events if e.kind != "burst"]
         starts = [0.0, *(e.end_s for e in kept)]
         ends = [*(e.start_s for e in kept), float(data.time_s[-1])]
@@ -241,7 +242,7 @@ class _Division:
         self.decays.append(Decay(onset, end))
         self._add("decay", 0.0, end)
         if end < last:
-            self._add("disturbed", end, last, "An event ends the decay; give end_s to use what follows.")
+            self._add("disturbed", end, last, Note.EVENT_ENDS_DECAY())
         return self._result()
 
     def parts(self) -> RecordParts:
@@ -260,11 +261,11 @@ class _Division:
         event = piece.before
         if self._at_rest(piece):
             if event is not None:
-                self._add("disturbed", event.start_s, event.end_s, "The motion was stopped.")
+                self._add("disturbed", event.start_s, event.end_s, Note.STOPPED())
             self._add("at rest", piece.start_s, piece.end_s)
             return False, False
         if event is not None and event.kind == "fall" and not after_steady:
-            self._add("disturbed", event.start_s, piece.end_s, "The motion was stopped or touched.")
+            self._add("disturbed", event.start_s, piece.end_s, Note.STOPPED_OR_TOUCHED())
             return False, False
         # Markers may be lost before the piece ends: only samples that are present can be steady.
         seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= piece.end_s)]
@@ -292,7 +293,7 @@ class _Division:
                 self._decay(onset, end_s)
                 return False, end_s > piece.end_s
         if is_probably_driven(probability):
-            self._add("driven", piece.start_s, piece.end_s, f"Steady motion at {self.frequency_hz:.4g} Hz.")
+            self._add("driven", piece.start_s, piece.end_s, Note.STEADY_AT(hz=self.frequency_hz))
         else:
             # What is not known to be driven may tell its damping ratio, with a wide interval.
             self._decay(self._start(piece), piece.end_s)
@@ -392,21 +393,17 @@ class _Division:
         for first, one, last in zip(order, order[1:], order[2:], strict=False):
             if (first.kind, one.kind, last.kind) == ("driven", "decay", "driven"):
                 self.decays = [d for d in self.decays if d.end_s != one.end_s]
-                self.segments[self.segments.index(one)] = replace(
-                    one, kind="driven", note="The drive changes."
-                )
+                changed = replace(one, kind="driven", note=Note.DRIVE_CHANGES())
+                self.segments[self.segments.index(one)] = changed
 
     def _result(self) -> RecordParts:
         self._without_transients()
         driven = [s for s in self.segments if s.kind == "driven"]
+        why = Reason.NO_DECAY()
         if driven:
-            none = no_onset(
-                f"The motion at {self.frequency_hz:.4g} Hz is steady from {driven[0].start_s:.4g} s to "
-                f"{driven[-1].end_s:.4g} s: it is driven, and the record contains no free decay. Continue recording "
-                "after the shaking stops."
-            )
-        else:
-            none = no_onset("No free decay was found.")
+            span = {"start_s": driven[0].start_s, "end_s": driven[-1].end_s}
+            why = Reason.DRIVEN_THROUGHOUT(hz=self.frequency_hz, **span)
+        none = no_onset(f"{why.reason}.")
         if not driven and not self.decays and all(s.kind == "at rest" for s in self.segments):
             # Motion too weak to be detected in two cycles: the fit of the whole record decides.
             last = float(self.data.time_s[-1])
@@ -414,7 +411,7 @@ class _Division:
                 (Decay(record_start(0.0), last),), (Segment("decay", 0.0, last),), self.disturbed, none
             )
         segments = tuple(sorted(self.segments, key=lambda s: (s.start_s, s.end_s)))
-        return RecordParts(tuple(self.decays), segments, self.disturbed, none)
+        return RecordParts(tuple(self.decays), segments, self.disturbed, none, why)
 
 
 def _rises(piece: _Piece) -> bool:

@@ -30,6 +30,7 @@ from modal_id.segments.change_point import (
     solve,
 )
 from modal_id.segments.events import Event
+from modal_id.sentences import Note, in_hz
 from modal_id.solve import PoleFit, frequency_hz, real_columns
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -265,16 +266,12 @@ def _decays(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
 
 def user_onset(time_s: float) -> Onset:
     """Onset given by the user, without uncertainty."""
-    return Onset(time_s, 0.0, time_s, "user", 1.0, "The start of the free decay was given by the user.")
+    return Onset(time_s, 0.0, time_s, "user", 1.0, Note.USER_ONSET())
 
 
 def record_start(time_s: float) -> Onset:
     """Onset of a record, or a piece, that is a decay from its first sample on."""
-    note = (
-        "No change from driven to free motion was found: the motion decays freely from the first sample that is "
-        "used."
-    )
-    return Onset(time_s, float("nan"), time_s, "record start", 1.0, note)
+    return Onset(time_s, float("nan"), time_s, "record start", 1.0, Note.RECORD_START())
 
 
 def no_onset(note: str) -> Onset:
@@ -315,22 +312,12 @@ def stop_of_shaking(
     stop = None if decay is None else locate_stop(data, change, decay.fit)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)
-    note = (
-        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_method(stop, base)} The "
-        f"following {fit_from - when:.3g} s ({(fit_from - when) * frequency:.2g} cycles) are not fitted: transients of "
-        "higher modes are still present."
-    )
+    located = Note.BY_CHANGE()
+    if stop is not None:
+        located = (Note.BY_FITS_WITH_BASE if np.any(base) else Note.BY_FITS)(hz=in_hz(stop.excited_hz))
+    settling = {"settling_s": fit_from - when, "cycles": (fit_from - when) * frequency}
+    note = Note.STOP(hz=change.drive_hz, stop_s=when, sd_s=sd, located=located, **settling)
     return Onset(when, sd, fit_from, "model", change.probability, note)
-
-
-def _method(stop: Stop | None, base: BoolArray) -> str:
-    if stop is None:
-        return "located to about one cycle by the change from driven motion to a free decay."
-    excited = ", ".join(f"{f:.4g}" for f in stop.excited_hz)
-    tracked = ", including the tracked motion of the base," if np.any(base) else ""
-    return (
-        f"located where the fits of the steady vibration and of the free decays ({excited} Hz){tracked} join."
-    )
 
 
 def release_onset(
@@ -344,16 +331,13 @@ def release_onset(
     values = np.abs(detrended(data)[rows]) * (data.weights[rows] > 0.0) / np.sqrt(variance)
     released_s = float(data.time_s[rows[np.argmax(np.max(values, axis=1))]]) if rows.size else event.end_s
     fit_from = max(released_s + _after_event(frequency_hz, event, end_s - released_s), event.end_s)
-    note = (
-        f"The structure is released at {released_s:.4g} s: the decay starts there. The fit begins "
-        f"{fit_from - released_s:.3g} s later, when the shortest transients are over."
-    )
+    note = Note.RELEASE(time_s=released_s, settling_s=fit_from - released_s)
     return Onset(released_s, event.sd_s, fit_from, "peak", 1.0, note)
 
 
 def continued_onset(event: Event) -> Onset:
     """Onset after a click or a step of the baseline, where a free motion goes on."""
-    note = f"The motion is interrupted at {event.start_s:.4g} s and goes on: it is fitted from {event.end_s:.4g} s."
+    note = Note.INTERRUPTION(start_s=event.start_s, end_s=event.end_s)
     return Onset(event.start_s, float("nan"), event.end_s, "interruption", 1.0, note)
 
 
@@ -373,14 +357,12 @@ def from_largest_deflection(data: FitData) -> Onset | None:
     if float(np.max(late)) > 0.5 * float(size[peak]):
         return None
     time_s = float(data.time_s[peak])
-    note = f"The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
-    return Onset(time_s, data.step_s, time_s, "peak", 1.0, note)
+    return Onset(time_s, data.step_s, time_s, "peak", 1.0, Note.LARGEST_DEFLECTION(time_s=time_s))
 
 
 def changed_onset(time_s: float, sd_s: float) -> Onset:
     """Onset where the motion changes."""
-    note = f"The motion changes at {time_s:.4g} s: it is fitted from there."
-    return Onset(time_s, sd_s, time_s, "interruption", 1.0, note)
+    return Onset(time_s, sd_s, time_s, "interruption", 1.0, Note.MOTION_CHANGES(time_s=time_s))
 
 
 def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from modal_id.data import FitData, reject_outliers, runs
 from modal_id.fit import ModalFit, refit
 from modal_id.record import Segment
+from modal_id.sentences import Note
 from modal_id.solve import frequency_hz
 from tracker import BoolArray, FloatArray
 
@@ -246,11 +247,6 @@ def _faded(square: FloatArray, last: int, window: int) -> int:
 def click_segments(time_s: FloatArray, rows: BoolArray) -> tuple[Segment, ...]:
     """A segment for each run of the mask `rows`; both arrays have shape (n,)."""
     return tuple(
-        Segment(
-            "disturbed",
-            float(time_s[first]),
-            float(time_s[last - 1]),
-            "A click; the motion goes on as before.",
-        )
+        Segment("disturbed", float(time_s[first]), float(time_s[last - 1]), Note.CLICK())
         for first, last in runs(rows)
     )

@@ -176,7 +176,7 @@ def with_input_file(
         raise InputError(msg)
     at = read.channels.index(column) if column is not None else 0
     values = at_other_times(read.time_s, read.values[:, at], series.time_s)
-    if isinstance(values, str):
+    if isinstance(values, Failure):
         msg = f"{where}: {values}"
         raise InputError(msg)
     known = _known_input(read, at, values, unit, series.unit)

@@ -179,7 +179,7 @@ def test_a_target_off_by_a_thousand_is_named(settings, frequency_hz, words):
         1000.0,
     )
     assert choice.index is None
-    assert words in choice.reason
+    assert words in choice.why.reason
 
 
 def test_the_sway_of_a_hand_is_no_mode():

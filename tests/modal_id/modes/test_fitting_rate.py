@@ -28,36 +28,36 @@ def test_the_rate_that_fits_is_named(mode, true_rate_hz, rate_hz):
     settings = IdentifySettings(mode=mode, expected_frequencies_hz=THEORY_HZ)
     choice = choose_target(apparent_hz, np.ones((1, 1)), np.ones(1), (None,), settings, rate_hz)
     assert choice.index is None
-    assert f"at a sampling rate of {true_rate_hz:g} Hz (recorded: {rate_hz:g} Hz)" in choice.reason
-    assert f"a ratio of {true_rate_hz / rate_hz:.3g}" in choice.reason
+    assert f"at a sampling rate of {true_rate_hz:g} Hz (recorded: {rate_hz:g} Hz)" in choice.why.reason
+    assert f"a ratio of {true_rate_hz / rate_hz:.3g}" in choice.why.reason
 
 
 def test_a_rate_that_no_camera_offers_is_a_range():
     settings = IdentifySettings(mode=2, expected_frequencies_hz=THEORY_HZ)
     choice = choose_target(np.array([1.0]), np.ones((1, 1)), np.ones(1), (None,), settings, 33.0)
-    assert "at a sampling rate of 314 to 384 Hz (recorded: 33 Hz), a ratio of 10.6" in choice.reason
+    assert "at a sampling rate of 314 to 384 Hz (recorded: 33 Hz), a ratio of 10.6" in choice.why.reason
 
 
 def test_without_shapes_a_line_near_another_mode_is_said_to_be_either():
     settings = IdentifySettings(mode=2, expected_frequencies_hz=THEORY_HZ)
     choice = choose_target(np.array([25.47]), np.ones((1, 1)), np.ones(1), (3,), settings, 500.0)
     assert choice.index is None
-    assert "would be mode 2 of the beam, unless it is mode 3 at the recorded rate" in choice.reason
+    assert "would be mode 2 of the beam, unless it is mode 3 at the recorded rate" in choice.why.reason
 
 
 def test_a_weak_line_near_the_wanted_mode_does_not_hide_the_rate():
     """At 1000 instead of 200 Hz mode 2 is at 50.95 Hz, and a line of another shape is where mode 2 should be."""
     choice = choice_of([50.95, 9.25], [SHAPES[:, 1], [1, -1, 1, -1, 1, -1]], (4, 2), 2, 1000.0)
     assert choice.index is None
-    assert choice.reason.startswith("at a sampling rate of 200 Hz (recorded: 1000 Hz), a ratio of 0.2")
-    assert "the mode found at 9.25 Hz has another shape" in choice.reason
+    assert choice.why.reason.startswith("at a sampling rate of 200 Hz (recorded: 1000 Hz), a ratio of 0.2")
+    assert "the mode found at 9.25 Hz has another shape" in choice.why.reason
 
 
 def test_a_mode_that_was_not_excited_is_no_wrong_rate():
     """Mode 4 is wanted, and the line has frequency and shape of mode 2: the rate is right."""
     choice = choice_of([10.19], [SHAPES[:, 1]], (2,), 4, 200.0)
     assert (choice.index, choice.fitting) == (None, None)
-    assert "sampling rate" not in choice.reason
+    assert "sampling rate" not in choice.why.reason
 
 
 def test_a_line_with_the_shape_of_no_mode_is_no_wrong_rate():
@@ -80,7 +80,7 @@ def test_without_a_wanted_mode_the_shape_decides():
 
 def test_at_the_true_rate_the_mode_is_found():
     choice = choice_of([53.2, 10.2], [SHAPES[:, 3], SHAPES[:, 1]], (4, 2), 4, 500.0)
-    assert (choice.index, choice.reason, choice.fitting) == (0, "", None)
+    assert (choice.index, choice.why.reason, choice.fitting) == (0, "", None)
 
 
 def random_identification(seed, error):

@@ -45,4 +45,4 @@ def test_what_was_not_recorded_is_missing_and_a_slower_recorder_is_refused() -> 
     assert not gaps
     assert 1.0 - 6 * 0.063 - 0.1 < known_s.size / 100.0 < 0.9
     refused = at_other_times(np.arange(0.0, 2.0, 0.02), np.zeros(100), OUTPUTS_S)
-    assert "slower than the outputs at 100 Hz" in refused
+    assert "slower than the outputs at 100 Hz" in refused.reason

@@ -1,8 +1,8 @@
-"""Description of the whole record in words, for the report and for the message of a refusal."""
+"""Segments of the whole record, with what was not used, and what a stretch without a fit shows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from modal_id.data import FitData, detrended, rough_variance, runs
 from modal_id.fit import MAX_DAMPING, power_spectrum
 from modal_id.record import Segment
+from modal_id.sentences import Note, Reason, Refusal
 from tracker import BoolArray, FloatArray
 
 
@@ -30,8 +31,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-_BARELY = f"damping ratios above {MAX_DAMPING:g} are not identified"
 
 
 def whole_record(
@@ -54,23 +53,12 @@ def whole_record(
         complete.append(Segment("not used", float(time_s[last_row]), float(time_s[-1])))
     long = [run for run in runs(repeated) if run[1] - run[0] >= TUNING.least_run]
     for start, end in sorted(long, key=lambda run: run[0] - run[1])[: TUNING.most_runs]:
-        note = f"{end - start} samples repeat the one before and were left out."
         begin, until = float(time_s[first_row + start]), float(time_s[first_row + end - 1])
-        complete.append(Segment("repeated", begin, until, note))
-    return in_order(complete)
+        complete.append(Segment("repeated", begin, until, Note.REPEATED_RUN(count=end - start)))
+    return tuple(sorted((s for s in complete if s.end_s > s.start_s), key=lambda s: (s.start_s, s.end_s)))
 
 
-def in_order(segments: Iterable[Segment]) -> tuple[Segment, ...]:
-    """The segments that last, in order of time."""
-    return tuple(sorted((s for s in segments if s.end_s > s.start_s), key=lambda s: (s.start_s, s.end_s)))
-
-
-def seen(segments: tuple[Segment, ...]) -> str:
-    """One sentence that lists the segments."""
-    return f"The record shows: {'; '.join(str(s) for s in segments)}." if segments else ""
-
-
-def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[float, float]) -> str:
+def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[float, float]) -> Refusal:
     """Reason why a stretch has no fit: the motion of the channel that moves most, compared with its noise."""
     noise = np.sqrt(rough_variance(data))
     moves = np.zeros(len(channels))
@@ -78,22 +66,14 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
         values = data.values[data.weights[:, k] > 0.0, k]
         moves[k] = 0.5 * float(np.subtract(*np.quantile(values, [0.99, 0.01]))) if values.size else 0.0
     most = int(np.argmax(moves / noise))
-    motion = (
-        f"from {within_s[0]:.4g} s to {within_s[1]:.4g} s, channel {channels[most]} moves most, by "
-        f"+-{moves[most]:.3g} {unit}, and its noise has a standard deviation of {noise[most]:.2g} {unit}"
-    )
+    values = {"start_s": within_s[0], "end_s": within_s[1], "half": moves[most], "noise": noise[most]}
+    motion = Note.MOVES_MOST(channel=channels[most], unit=unit, **values)
     hz, share, of_noise = _fullest_band(data, most)
-    near = f"; {100.0 * share:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
     if share < of_noise and moves[most] < TUNING.moves * noise[most]:
-        return (
-            f"no vibration exceeds noise and drift: {motion}; check that the object moves, what was tracked, and that "
-            f"it oscillates: {_BARELY}"
-        )
-    return (
-        f"no vibration with a steady frequency was found: {motion}{near if share > of_noise else ''}. The motion may "
-        "be drift, handling, an uneven drive, or several releases in succession; set onset_s and end_s to one free "
-        f"decay. It may also be a return to rest without oscillation: {_BARELY}"
-    )
+        return Reason.NO_VIBRATION(motion=motion, most_zeta=MAX_DAMPING)
+    if share > of_noise:
+        motion += Note.FULLEST_BAND(percent=100.0 * share, hz=hz)
+    return Reason.NO_STEADY_FREQUENCY(motion=motion, most_zeta=MAX_DAMPING)
 
 
 def _fullest_band(data: FitData, channel: int) -> tuple[float, float, float]:
