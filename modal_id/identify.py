@@ -332,8 +332,13 @@ def _of_interval(
     last = time_s.size if settings.end_s is None else int(np.searchsorted(time_s, settings.end_s + 1e-12))
     if last - first < MIN_SAMPLES:
         given = " and ".join(name for name in ("onset_s", "end_s") if getattr(settings, name) is not None)
-        ends = {"start_s": series.time_s[0], "end_s": series.time_s[-1]}
-        return Reason.FEW_IN_INTERVAL(found=max(last - first, 0), given=given, least=MIN_SAMPLES, **ends)
+        return Reason.FEW_IN_INTERVAL(
+            found=max(last - first, 0),
+            given=given,
+            least=MIN_SAMPLES,
+            start_s=series.time_s[0],
+            end_s=series.time_s[-1],
+        )
     data = prepared.data.rows(slice(first, last))
     data = replace(data, time_s=data.time_s - data.time_s[0])
     repeated = prepared.repeated[first:last]

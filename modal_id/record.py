@@ -100,11 +100,11 @@ class FittingRate:
         return f"{low:g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
 
     def __str__(self) -> str:
-        values = {
-            "recorded_hz": self.recorded_hz,
-            "ratio": self.ratio,
-            "hz": self.line_hz,
-            "number": self.number,
-        }
-        text = Note.FITTING_RATE(rate=self.rate, **values)
+        text = Note.FITTING_RATE(
+            rate=self.rate,
+            recorded_hz=self.recorded_hz,
+            ratio=self.ratio,
+            hz=self.line_hz,
+            number=self.number,
+        )
         return text if self.otherwise is None else Note.UNLESS(fitting=text, number=self.otherwise)

@@ -168,7 +168,6 @@ class Reason(Enum):
         "mode {number} is requested, but theory provides only modes 1 to {count}; give a lower number"
     )
     NOT_WITHIN = "no mode was found within 10 % of {hz:.4g} Hz; the modes found are at {seen} Hz. {cause}"
-    # a beam's shape
     UNKNOWN_LENGTH = "the free length of the beam, or the places of the stations along it, are unknown"
     UNKNOWN_ENDS = (
         "the stations reach from {first_percent:.0f} to {last_percent:.0f} % of the free length: what the beam does at "
@@ -364,9 +363,7 @@ class Note(Enum):
         "The structure is released at {time_s:.4g} s: the decay starts there. The fit begins {settling_s:.3g} s later, "
         "when the shortest transients are over."
     )
-    LARGEST_DEFLECTION = (
-        "The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
-    )
+    PEAK = "The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
     INTERRUPTION = (
         "The motion is interrupted at {start_s:.4g} s and goes on: it is fitted from {end_s:.4g} s."
     )
@@ -485,14 +482,17 @@ class Note(Enum):
         "it was corrected for, and determines the intervals. A less noisy sensor narrows them."
     )
 
+    def __init__(self, words: str) -> None:
+        self.words = words
+
     def __call__(self, **values: object) -> str:
         """The words with these values in their places."""
-        return str(self.value).format(**values)
+        return self.words.format(**values)
 
     @property
     def beginning(self) -> str:
         """The words before the first value."""
-        return str(self.value).partition("{")[0]
+        return self.words.partition("{")[0]
 
 
 def in_hz(frequencies: Iterable[float]) -> str:

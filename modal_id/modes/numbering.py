@@ -291,8 +291,8 @@ def missing_target(choice: TargetChoice, settings: IdentifySettings) -> FailedMo
 def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> Refusal:
     cause = _in_other_unit(frequencies_hz, wanted_hz, Note.UNIT_OF_TARGET, Note.UNIT_OF_RATE)
     if not cause and wanted_hz > 0.5 * rate_hz:
-        rates = {"rate_hz": rate_hz, "alias_hz": apparent_hz(wanted_hz, rate_hz), "least_hz": 2.0 * wanted_hz}
-        cause = Note.WOULD_APPEAR(hz=wanted_hz, **rates)
+        alias_hz = apparent_hz(wanted_hz, rate_hz)
+        cause = Note.WOULD_APPEAR(rate_hz=rate_hz, hz=wanted_hz, alias_hz=alias_hz, least_hz=2.0 * wanted_hz)
     return Reason.NOT_WITHIN(hz=wanted_hz, seen=in_hz(frequencies_hz), cause=cause or Note.CHECK_RATE())
 
 

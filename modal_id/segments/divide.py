@@ -401,8 +401,9 @@ class _Division:
         driven = [s for s in self.segments if s.kind == "driven"]
         why = Reason.NO_DECAY()
         if driven:
-            span = {"start_s": driven[0].start_s, "end_s": driven[-1].end_s}
-            why = Reason.DRIVEN_THROUGHOUT(hz=self.frequency_hz, **span)
+            why = Reason.DRIVEN_THROUGHOUT(
+                hz=self.frequency_hz, start_s=driven[0].start_s, end_s=driven[-1].end_s
+            )
         none = no_onset(f"{why.reason}.")
         if not driven and not self.decays and all(s.kind == "at rest" for s in self.segments):
             # Motion too weak to be detected in two cycles: the fit of the whole record decides.

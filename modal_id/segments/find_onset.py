@@ -315,8 +315,14 @@ def stop_of_shaking(
     located = Note.BY_CHANGE()
     if stop is not None:
         located = (Note.BY_FITS_WITH_BASE if np.any(base) else Note.BY_FITS)(hz=in_hz(stop.excited_hz))
-    settling = {"settling_s": fit_from - when, "cycles": (fit_from - when) * frequency}
-    note = Note.STOP(hz=change.drive_hz, stop_s=when, sd_s=sd, located=located, **settling)
+    note = Note.STOP(
+        hz=change.drive_hz,
+        stop_s=when,
+        sd_s=sd,
+        located=located,
+        settling_s=fit_from - when,
+        cycles=(fit_from - when) * frequency,
+    )
     return Onset(when, sd, fit_from, "model", change.probability, note)
 
 
@@ -357,7 +363,7 @@ def from_largest_deflection(data: FitData) -> Onset | None:
     if float(np.max(late)) > 0.5 * float(size[peak]):
         return None
     time_s = float(data.time_s[peak])
-    return Onset(time_s, data.step_s, time_s, "peak", 1.0, Note.LARGEST_DEFLECTION(time_s=time_s))
+    return Onset(time_s, data.step_s, time_s, "peak", 1.0, Note.PEAK(time_s=time_s))
 
 
 def changed_onset(time_s: float, sd_s: float) -> Onset:
