@@ -30,6 +30,9 @@ from .results import FittedMode as FittedMode
 from .results import Identification as Identification
 from .results import IdentifiedMode as IdentifiedMode
 from .results import Posterior as Posterior
+from .sentences import Note as Note
+from .sentences import Reason as Reason
+from .sentences import Refusal as Refusal
 from .settings import IdentifyOptions as IdentifyOptions
 from .settings import IdentifySettings as IdentifySettings
 from .settings import SamplerSettings as SamplerSettings

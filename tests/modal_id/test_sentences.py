@@ -5,7 +5,7 @@ from string import Formatter
 
 from support.paths import ROOT
 
-from modal_id.sentences import Note, Reason, Refusal
+from modal_id import Note, Reason, Refusal
 
 KINDS = {"Reason": Reason, "Note": Note}
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted((ROOT / "modal_id").rglob("*.py"))}
