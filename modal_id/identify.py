@@ -307,10 +307,10 @@ def _driven(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Result of a record whose strongest motion does not decay: none of its parts is a free decay."""
-    onset = replace(no_onset(Note.STEADY()), fit_from_s=one.onset.fit_from_s)
+    onset = replace(no_onset(Reason.STEADY.words), fit_from_s=one.onset.fit_from_s)
     found = assemble_driven(series, settings, used, replace(one, onset=onset))
     steady = tuple(
-        replace(s, kind="driven", note=Note.STEADY()) if s.kind in ("decay", "driven") else s
+        replace(s, kind="driven", note=Reason.STEADY.words) if s.kind in ("decay", "driven") else s
         for s in segments
     )
     return replace(found, segments=steady)
@@ -332,13 +332,8 @@ def _of_interval(
     last = time_s.size if settings.end_s is None else int(np.searchsorted(time_s, settings.end_s + 1e-12))
     if last - first < MIN_SAMPLES:
         given = " and ".join(name for name in ("onset_s", "end_s") if getattr(settings, name) is not None)
-        return Reason.FEW_IN_INTERVAL(
-            found=max(last - first, 0),
-            given=given,
-            least=MIN_SAMPLES,
-            start_s=series.time_s[0],
-            end_s=series.time_s[-1],
-        )
+        found, (start_s, end_s) = max(last - first, 0), series.time_s[[0, -1]]
+        return Reason.FEW_INSIDE(found=found, given=given, least=MIN_SAMPLES, start_s=start_s, end_s=end_s)
     data = prepared.data.rows(slice(first, last))
     data = replace(data, time_s=data.time_s - data.time_s[0])
     repeated = prepared.repeated[first:last]

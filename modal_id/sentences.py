@@ -1,4 +1,3 @@
-# ruff: noqa: E501 - a sentence is one line: a search for some of its words finds it
 """Every sentence on a record that a user reads: why there is no result, and notes; flags have theirs in `flags.py`.
 
 A member is the code of a sentence, its value the words with places for values. The rest of the package decides and
@@ -16,14 +15,9 @@ from tracker import Failure
 
 @dataclass(frozen=True)
 class Refusal(Failure):
-    """Why there is no result: falsy, as a sentence and as codes.
+    """Why there is no result: falsy, a sentence, and the `codes`, names of `Reason`, of all that it states.
 
-    Attributes
-    ----------
-    codes : tuple of str
-        Names of the `Reason` that it states, of all where it states several.
-    values : dict
-        What was put into the places of the first one's sentence.
+    `values` are what was put into the places of the first one's sentence.
     """
 
     codes: tuple[str, ...] = ()
@@ -50,7 +44,7 @@ class Reason(Enum):
     FEW_AT_ONE_RATE = "only {found} of the samples follow each other without a pause and at one rate, but at least {least} are needed. {notes}"
     CLIPPED = "the signal is clipped until the end of the record: too many samples share its largest or smallest value; reduce the amplitude or use a larger range; draw the markers of a synthetic film at fractions of a px, with gray edges"
     FEW_DISTINCT = "only {found} of {count} samples differ from the one before, but at least {least} are needed: frames are frozen or duplicated; check the camera or the file"
-    FEW_IN_INTERVAL = "only {found} samples lie within {given}, but at least {least} are needed: the record runs from {start_s:.4g} s to {end_s:.4g} s"
+    FEW_INSIDE = "only {found} samples lie within {given}, but at least {least} are needed: the record runs from {start_s:.4g} s to {end_s:.4g} s"
     # parts of the record
     TWO_EXCITATIONS = 'the input was measured, and excitation is "ambient", for forces that are not measured: give one of the two; output_only ignores the input'
     NO_INPUT = "a lag of the input is asked for, but no input was measured: name it, or omit input_lag_ms"
@@ -150,7 +144,7 @@ class Note(Enum):
     """What is told of a result, and clauses of other sentences; called with the values of its sentence, the words."""
 
     # samples
-    PAUSE = "The record pauses for {pause_s:.4g} s: only the {count} samples from {start_s:.4g} s to {end_s:.4g} s were used. Give the others as files of their own."
+    PAUSE = "The record pauses for {gap_s:.4g} s: only the {count} samples from {start_s:.4g} s to {end_s:.4g} s were used. Give the others as files of their own."
     RATE = "{rate_hz:.4g} Hz from {start_s:.4g} s"
     RATES = "The sampling rate changes within the record ({rates}): only the stretch from {start_s:.4g} s to {end_s:.4g} s was used. Give the others as files of their own."
     CLIPPED_UNTIL = "The signal is clipped (many samples at its extreme value) until {until_s:.4g} s; only the samples after it were used."
@@ -172,7 +166,6 @@ class Note(Enum):
     # parts of the record
     SEGMENT = "{kind} from {start_s:.4g} s to {end_s:.4g} s"
     RECORD_SHOWS = "The record shows: {segments}."
-    STEADY = Reason.STEADY.words
     HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
     FAINT = "The decay here is much weaker than another one of the record."
     CLICK = "A click; the motion goes on as before."
@@ -188,11 +181,10 @@ class Note(Enum):
     ROUGH = "Free decays leave {percent:.2g} % of the power: the intervals include the differences between parts of the decay."
     MOVES_MOST = "from {start_s:.4g} s to {end_s:.4g} s, channel {channel} moves most, by +-{half:.3g} {unit}, and its noise has a standard deviation of {noise:.2g} {unit}"
     FULLEST_BAND = "; {percent:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
-    COMPONENT = "component {number}"
     # start of a decay
     USER_ONSET = "The start of the free decay was given by the user."
     RECORD_START = "No change from driven to free motion was found: the motion decays freely from the first sample that is used."
-    STOP = "Steady shaking at {hz:.4g} Hz ends at {stop_s:.5f} s (sd {sd_s:.2g} s), {located} The following {settling_s:.3g} s ({cycles:.2g} cycles) are not fitted: transients of higher modes are still present."
+    STOP = "Steady shaking at {hz:.4g} Hz ends at {stop_s:.5f} s (sd {sd_s:.2g} s), {located} The following {late_s:.3g} s ({cycles:.2g} cycles) are not fitted: transients of higher modes are still present."
     BY_CHANGE = "located to about one cycle by the change from driven motion to a free decay."
     BY_FITS = "located where the fits of the steady vibration and of the free decays ({hz} Hz) join."
     BY_FITS_WITH_BASE = "located where the fits of the steady vibration and of the free decays ({hz} Hz), including the tracked motion of the base, join."
@@ -202,7 +194,6 @@ class Note(Enum):
         "The motion is interrupted at {start_s:.4g} s and goes on: it is fitted from {end_s:.4g} s."
     )
     MOTION_CHANGES = "The motion changes at {time_s:.4g} s: it is fitted from there."
-    # fit
     NOT_USED = "The fit does not use {names}: no motion above the noise after the onset."
     OUTLIERS = "{count} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."
     CLUSTERS = "Up to {percent:.1f} % of the samples of a channel deviate from the fitted model by more than 5 sd, in clusters rather than at random: they were kept, and the noise level includes them. Inspect the residual."
@@ -242,10 +233,10 @@ class Note(Enum):
     UNIT_OF_RATE = "give the frame rate in Hz, not in kHz"
     UNIT_OF_RATE_OR_BEAM = "give the frame rate in Hz, not in kHz, or the beam in mm, not in m"
     UNIT_OF_TARGET = "give the requested frequency in Hz, not in kHz"
-    WOULD_APPEAR = "At a sampling rate of {rate_hz:.4g} Hz, {hz:.4g} Hz would appear at {alias_hz:.4g} Hz: record at more than {least_hz:.4g} Hz or request the alias"
+    APPEARS = "At a sampling rate of {rate_hz:.4g} Hz, {hz:.4g} Hz would appear at {alias_hz:.4g} Hz: record at more than {least_hz:.4g} Hz or request the alias"
     CHECK_RATE = "Check the requested frequency and the recorded frame rate, with which all frequencies scale"
     # ambient excitation
-    DAMPING_KNOWN = "This record of {span_min:.3g} min ({cycles:.0f} cycles) gives the damping ratio, {zeta_percent:.3g} %, to {percent:.2g} % of its value; {needed_min:.2g} min would give it to {aim_percent:.2g} %."
+    DAMPING_KNOWN = "This record of {span_min:.3g} min ({cycles:.0f} cycles) gives the damping ratio, {zeta:.3g} %, to {percent:.2g} % of its value; {needed_min:.2g} min would give it to {aim:.2g} %."
     RECORD_LONGER = "record longer, closer, or with more excitation"
     FILLED = "{count} missing samples were filled by linear prediction from both sides: the spectrum changes by {percent:.2g} % at most, frequencies and damping ratios less."
     # a measured input

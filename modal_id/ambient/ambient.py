@@ -50,13 +50,10 @@ def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: f
     """What the record gives, and how long a record would give more: the square of the sd falls with the length."""
     aim = next((aim for aim in _AIMS if aim < 0.8 * log_sd), 0.5 * log_sd)
     needed_s = span_s * (log_sd / aim) ** 2
+    zeta, percent, aim = 100.0 * damping_ratio, 100.0 * log_sd, 100.0 * aim
+    span_min, needed_min, cycles = span_s / 60.0, needed_s / 60.0, frequency_hz * span_s
     return Note.DAMPING_KNOWN(
-        span_min=span_s / 60.0,
-        cycles=frequency_hz * span_s,
-        zeta_percent=100.0 * damping_ratio,
-        percent=100.0 * log_sd,
-        needed_min=needed_s / 60.0,
-        aim_percent=100.0 * aim,
+        span_min=span_min, cycles=cycles, zeta=zeta, percent=percent, needed_min=needed_min, aim=aim
     )
 
 
@@ -322,8 +319,7 @@ def _sorted_out(found: Spectrum, modes: list[_Found]) -> tuple[list[_Found], lis
         if turns < TUNING.least_turns:
             why = Reason.LINE(hz=hz)
         elif sd > TUNING.most_log_sd:
-            span_min = found.span_s / 60.0
-            minutes = found.span_s * (sd / 0.3) ** 2 / 60.0
+            span_min, minutes = found.span_s / 60.0, found.span_s * (sd / 0.3) ** 2 / 60.0
             why = Reason.SHORT_FOR_DAMPING(span_min=span_min, hz=hz, needed_min=minutes)
         elif not one.band.low_hz * 1.0001 < hz < one.band.high_hz * 0.9999:
             continue

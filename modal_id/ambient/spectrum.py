@@ -192,12 +192,9 @@ def _too_much_missing(seen: BoolArray, step_s: float) -> Refusal | None:
     longest = int(np.max(lengths, initial=0))
     if share <= TUNING.missing and longest <= TUNING.longest_gap:
         return None
+    limits, longest_s = (100.0 * TUNING.missing, TUNING.longest_gap), longest * step_s
     return Reason.MISSING(
-        most_percent=100.0 * TUNING.missing,
-        most=TUNING.longest_gap,
-        percent=100.0 * share,
-        longest=longest,
-        longest_s=longest * step_s,
+        most_percent=limits[0], most=limits[1], percent=100.0 * share, longest=longest, longest_s=longest_s
     )
 
 

@@ -68,7 +68,7 @@ def longest_without_pause(time_s: FloatArray) -> tuple[int, int, str] | None:
     edges = np.concatenate([[0], pauses + 1, [time_s.size]])
     longest = int(np.argmax(np.diff(edges)))
     first, end = int(edges[longest]), int(edges[longest + 1])
-    note = Note.PAUSE(pause_s=np.max(step_s), count=end - first, start_s=time_s[first], end_s=time_s[end - 1])
+    note = Note.PAUSE(gap_s=np.max(step_s), count=end - first, start_s=time_s[first], end_s=time_s[end - 1])
     return first, end, note
 
 
@@ -157,9 +157,6 @@ def _last_run(column: FloatArray, least_step: float) -> int | None:
 MIN_SAMPLES = 12
 
 
-_ROUNDING = TUNING.rounding
-
-
 @dataclass(frozen=True)
 class Projection:
     """Components that stand for many channels.
@@ -230,7 +227,7 @@ def prepare(series: DisplacementSeries) -> Prepared | Refusal:
     if n - first_row < MIN_SAMPLES:
         return Reason.FEW_AT_ONE_RATE(found=n - first_row, least=MIN_SAMPLES, notes=" ".join(notes))
     stated_sd = _stated_sd(series, kept)
-    saturated = last_saturated_row(series.values[first_row:n, kept], _ROUNDING * stated_sd)
+    saturated = last_saturated_row(series.values[first_row:n, kept], TUNING.rounding * stated_sd)
     if saturated is not None:
         saturated += first_row
         first_row = saturated + 1
@@ -264,8 +261,8 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
             notes.append(Note.CHANNEL(names=name, why=Note.FEW_VALUES(found=good.size, count=n)))
         elif np.ptp(good) == 0.0:
             notes.append(Note.CHANNEL(names=name, why=Note.NEVER_CHANGES(value=good[0], unit=series.unit)))
-        elif np.ptp(good) < _ROUNDING * stated_sd[index]:
-            for_reason.setdefault(Note.AT_REST(percent=100.0 * _ROUNDING), []).append(name)
+        elif np.ptp(good) < TUNING.rounding * stated_sd[index]:
+            for_reason.setdefault(Note.AT_REST(percent=100.0 * TUNING.rounding), []).append(name)
         else:
             channels.append(index)
     left_out = [

@@ -134,8 +134,7 @@ def _reduced(
     projection = Projection(cleaned, to_channels, (basis @ turn).T / sd)
     count, k = basis.shape[1], sd.size
     rejected = int(np.count_nonzero((prepared.data.weights > 0.0) & (cleaned.weights == 0.0)))
-    words = Note.COMPONENTS if count > 1 else Note.ONE_COMPONENT
-    note = words(count=count, channels=k, rejected=rejected)
+    note = (Note.COMPONENTS if count > 1 else Note.ONE_COMPONENT)(count=count, channels=k, rejected=rejected)
     return replace(prepared, data=components, notes=(*prepared.notes, note), projection=projection)
 
 

@@ -302,13 +302,8 @@ def readout_note(found: Identification, rows_px: FloatArray, height_px: int) -> 
     readout_s, sd_s = (height_px - 1) * np.array(delay)
     if abs(readout_s) > TUNING.longest_readout * float(np.median(np.diff(found.series.time_s))):
         return ""
-    return Note.ROLLING_SHUTTER(
-        grow="grow" if readout_s > 0.0 else "fall",
-        row_us=1e6 * abs(delay.per_row_s),
-        sd_us=1e6 * delay.sd_s,
-        readout_s=readout_s,
-        sd_s=sd_s,
-    )
+    row_us, sd_us, grow = 1e6 * abs(delay.per_row_s), 1e6 * delay.sd_s, "grow" if readout_s > 0.0 else "fall"
+    return Note.ROLLING_SHUTTER(grow=grow, row_us=row_us, sd_us=sd_us, readout_s=readout_s, sd_s=sd_s)
 
 
 def _slope(mode: IdentifiedMode, rows_px: FloatArray) -> RowDelay | None:

@@ -143,9 +143,9 @@ def mode_flags(
     best = signal_to_noise(model, index)
     draws = mode.posterior.damping_ratio
     distance = np.abs(np.delete(all_hz, index) / frequency - 1.0)
-    nyquist = nyquist_hz(data.time_s)
-    at_nyquist = frequency > TUNING.near_nyquist * nyquist
-    aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
+    rate_hz, expected = 2.0 * nyquist_hz(data.time_s), settings.expected_frequencies_hz
+    at_nyquist = frequency > TUNING.near_nyquist * 0.5 * rate_hz
+    aliases = possible_aliases(frequency, shape, number, rate_hz, settings)
     raised = {
         ModeFlag.SHORT_RECORD: data.span_s * frequency < TUNING.least_cycles,
         ModeFlag.ADDED: is_added(model, index),
@@ -163,14 +163,9 @@ def mode_flags(
     }
     notes = []
     if at_nyquist:
-        notes.append(alias_note(2.0 * nyquist, frequency))
+        notes.append(alias_note(rate_hz, frequency))
     notes += [
-        Note.ALIAS_OF_THEORY(
-            rate_hz=2.0 * nyquist,
-            number=other,
-            theory_hz=settings.expected_frequencies_hz[other - 1],
-            hz=frequency,
-        )
+        Note.ALIAS_OF_THEORY(rate_hz=rate_hz, number=other, theory_hz=expected[other - 1], hz=frequency)
         for other in aliases
     ]
     return [flag for flag, is_raised in raised.items() if is_raised], notes

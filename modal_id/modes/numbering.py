@@ -176,9 +176,6 @@ def number_modes(
     return Numbering(tuple(numbers), tuple(values))
 
 
-_NOT_MISSING = Refusal("")
-
-
 @dataclass(frozen=True)
 class TargetChoice:
     """Index of the target mode, or None with the reason; not `requested` where it is the strongest mode by default.
@@ -187,7 +184,7 @@ class TargetChoice:
     """
 
     index: int | None
-    why: Refusal = _NOT_MISSING
+    why: Refusal = Refusal("")  # noqa: RUF009 - frozen
     frequency_hz: float = float("nan")
     requested: bool = True
     fitting: FittingRate | None = None
@@ -292,7 +289,7 @@ def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> 
     cause = _in_other_unit(frequencies_hz, wanted_hz, Note.UNIT_OF_TARGET, Note.UNIT_OF_RATE)
     if not cause and wanted_hz > 0.5 * rate_hz:
         alias_hz = apparent_hz(wanted_hz, rate_hz)
-        cause = Note.WOULD_APPEAR(rate_hz=rate_hz, hz=wanted_hz, alias_hz=alias_hz, least_hz=2.0 * wanted_hz)
+        cause = Note.APPEARS(rate_hz=rate_hz, hz=wanted_hz, alias_hz=alias_hz, least_hz=2.0 * wanted_hz)
     return Reason.NOT_WITHIN(hz=wanted_hz, seen=in_hz(frequencies_hz), cause=cause or Note.CHECK_RATE())
 
 

@@ -235,7 +235,9 @@ class PieceFitter:
             change = self._change(one) if splits > 0 else None
             splits -= 1
             if change is None:
-                why = _unexplained(onset, end_s, left)
+                start_s, percent = onset.fit_from_s, 100.0 * left.share
+                most_s = start_s + 0.5 * (left.start_s + left.end_s)
+                why = Reason.NOT_FREE_DECAYS(start_s=start_s, end_s=end_s, percent=percent, most_s=most_s)
                 yield Piece(Segment("disturbed", onset.time_s, end_s, f"{why.reason}."), None, why)
                 continue
             before, after = _divided(one, change)
@@ -292,7 +294,7 @@ class PieceFitter:
         if model is None:
             names = [series.channels[i] for i in used.channels]
             if used.projection is not None:
-                names = [Note.COMPONENT(number=q + 1) for q in range(data.values.shape[1])]
+                names = [f"component {q + 1}" for q in range(data.values.shape[1])]
             return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
         model, clicks = without_clicks(model, data.weights)
         data = _without(data, clicks)
@@ -357,12 +359,6 @@ def _divided(one: FittedDecay, change: Boundary) -> list[tuple[Onset, float]]:
     origin_s = one.onset.fit_from_s
     after = changed_onset(origin_s + change.start_s, change.sd_s)
     return [(one.onset, origin_s + change.end_s), (after, one.end_s)]
-
-
-def _unexplained(onset: Onset, end_s: float, left: Misfit) -> Refusal:
-    start_s, percent = onset.fit_from_s, 100.0 * left.share
-    most_s = start_s + 0.5 * (left.start_s + left.end_s)
-    return Reason.NOT_FREE_DECAYS(start_s=start_s, end_s=end_s, percent=percent, most_s=most_s)
 
 
 def _is_one_curve(model: ModalFit) -> bool:

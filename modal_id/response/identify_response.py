@@ -337,8 +337,7 @@ def _notes(known: KnownInput, found: ResponseFit) -> tuple[str, ...]:
     if not most.size:
         return ()
     if not given.known:
-        largest = np.sqrt(given.variance)
-        return (Note.NOISE_UNKNOWN(input=known.name, sd=sd, unit=known.unit, most=largest),)
+        return (Note.NOISE_UNKNOWN(input=known.name, sd=sd, unit=known.unit, most=given.variance**0.5),)
     places = ", ".join(f"{hz:.4g} Hz" for hz in most)
     return (Note.NOISE_LARGE(input=known.name, sd=sd, unit=known.unit, source=given.text, hz=places),)
 
@@ -348,8 +347,7 @@ def _unexplained(found: ResponseFit, lowest_hz: float) -> str:
     places = candidates(found, lowest_hz, criterion(found.samples))
     if not places:
         return ""
-    frequencies = sorted(set(np.round(frequency_hz(np.array(places)), 1)))
-    return Note.INPUT_INCOMPLETE(hz=in_hz(frequencies))
+    return Note.INPUT_INCOMPLETE(hz=in_hz(sorted(set(np.round(frequency_hz(np.array(places)), 1)))))
 
 
 def _response(

@@ -118,10 +118,8 @@ class RecordParts:
         The whole record in order of time.
     disturbed : bool array, shape (n,)
         Samples within a decay to leave out: a click after which the motion goes on.
-    none : Onset
+    none, why : Onset, Refusal
         Where there is no decay: what the record shows instead.
-    why : Refusal
-        The same.
     """
 
     decays: tuple[Decay, ...]

@@ -315,14 +315,8 @@ def stop_of_shaking(
     located = Note.BY_CHANGE()
     if stop is not None:
         located = (Note.BY_FITS_WITH_BASE if np.any(base) else Note.BY_FITS)(hz=in_hz(stop.excited_hz))
-    note = Note.STOP(
-        hz=change.drive_hz,
-        stop_s=when,
-        sd_s=sd,
-        located=located,
-        settling_s=fit_from - when,
-        cycles=(fit_from - when) * frequency,
-    )
+    late_s, cycles = fit_from - when, (fit_from - when) * frequency
+    note = Note.STOP(hz=change.drive_hz, stop_s=when, sd_s=sd, located=located, late_s=late_s, cycles=cycles)
     return Onset(when, sd, fit_from, "model", change.probability, note)
 
 

@@ -66,14 +66,8 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
         values = data.values[data.weights[:, k] > 0.0, k]
         moves[k] = 0.5 * float(np.subtract(*np.quantile(values, [0.99, 0.01]))) if values.size else 0.0
     most = int(np.argmax(moves / noise))
-    motion = Note.MOVES_MOST(
-        start_s=within_s[0],
-        end_s=within_s[1],
-        channel=channels[most],
-        half=moves[most],
-        unit=unit,
-        noise=noise[most],
-    )
+    (start_s, end_s), channel, half, sd = within_s, channels[most], moves[most], noise[most]
+    motion = Note.MOVES_MOST(start_s=start_s, end_s=end_s, channel=channel, half=half, unit=unit, noise=sd)
     hz, share, of_noise = _fullest_band(data, most)
     if share < of_noise and moves[most] < TUNING.moves * noise[most]:
         return Reason.NO_VIBRATION(motion=motion, most_zeta=MAX_DAMPING)
