@@ -435,7 +435,7 @@ def run(
     plugins : sequence of str
         Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
     progress : object, optional
-        Listener with the methods of `modalcam.pipeline.pool.Progress`.
+        Listener with the methods of `modalcam.pipeline.Progress`.
 
     Returns
     -------

@@ -1,6 +1,5 @@
 from .app import app as app
 from .app import main as main
-from .command import register_command as register_command
 from .options import CONFIG_HELP as CONFIG_HELP
 from .options import PIPELINE as PIPELINE
 from .options import Jobs as Jobs
@@ -12,6 +11,7 @@ from .options import Seed as Seed
 from .options import Verbose as Verbose
 from .options import compute as compute
 from .options import console as console
+from .options import register_command as register_command
 from .options import results_console as results_console
 from .options import results_folder as results_folder
 from .options import run_options as run_options

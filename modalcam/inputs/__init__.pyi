@@ -10,6 +10,7 @@ from .probe import probe_folder as probe_folder
 from .probe import probe_recordings as probe_recordings
 from .probe import starter_config as starter_config
 from .series import is_tracks as is_tracks
+from .series import read_uff as read_uff
 from .series import series_from_table as series_from_table
 from .series import tracks_from_table as tracks_from_table
 from .series import with_input_file as with_input_file
@@ -20,4 +21,3 @@ from .table import MAX_BYTES as MAX_BYTES
 from .table import Table as Table
 from .table import read_table as read_table
 from .table_readers import register_table_reader as register_table_reader
-from .uff import read_uff as read_uff

@@ -9,10 +9,9 @@ from typing import Any
 
 from modalcam.common import InputError, shown
 from modalcam.config import RecordingConfig
-from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table
+from modalcam.inputs.series import is_tracks, read_uff, series_from_table, tracks_from_table
 from modalcam.inputs.table import Table, read_table
 from modalcam.inputs.table_readers import UFF_ENDINGS
-from modalcam.inputs.uff import read_uff
 from modalcam.pipeline import Limits, TaskFailure, worker_pool
 
 # MATLAB and HDF5; a small workbook may hold any number of cells.

@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from modalcam.config import dump_config
-from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.beam import beam_theory, update_beam
 from modalcam.pipeline.compare import compare_recordings
 from modalcam.pipeline.identify import identify_recordings
 from modalcam.pipeline.output_folder import RunRecord, Source
 from modalcam.pipeline.provenance import processor, versions
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.stage import Context
+from modalcam.pipeline.stage import Context, added_stages
 from modalcam.pipeline.track import track_recordings, with_displacement
 from sim.beam import BeamModes
 from tracker import FailedTracking, Failure

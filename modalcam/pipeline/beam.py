@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from modalcam.config import beam_properties, updating_settings
-from modalcam.pipeline.added import added_stages
 from modalcam.pipeline.identify import MeasuredMode, measured_modes
 from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
-from modalcam.pipeline.stage import Context, Stage, run_together
+from modalcam.pipeline.stage import Context, Stage, added_stages, run_together
 from sim.beam import AncfBeam, BeamModes, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from sim.comparison import Candidate
 from sim.damping import (

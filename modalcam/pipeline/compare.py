@@ -11,11 +11,10 @@ import numpy as np
 
 from modal_id import Identification
 from modalcam.config import AirConfig
-from modalcam.pipeline.added import AddedStage, UpdatedBeam, added_stages
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
-from modalcam.pipeline.stage import Context, Stage, each_together
+from modalcam.pipeline.stage import AddedStage, Context, Stage, UpdatedBeam, added_stages, each_together
 from modalcam.plugins import OUR_PACKAGES
 from sim.beam import BeamProperties
 from sim.comparison import (

@@ -15,9 +15,9 @@ from typing import Any
 import numba
 from filelock import FileLock
 
-from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.pool import TaskFailure, WorkerPool
 from modalcam.pipeline.results import RecordingResult
-from modalcam.pipeline.stage import Context
+from modalcam.pipeline.stage import Context, Progress
 
 STAGE = "compiling, first run on this machine"
 

@@ -12,6 +12,7 @@ ended (3.7: four of six), and a task has no time limit. Neither limits memory.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import gc
 import os
 import signal
@@ -27,14 +28,14 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from typing import Any, TypeVar
 
 from modalcam.common import ModalcamError, silence_readers
-from modalcam.pipeline.memory import peak_bytes, return_large_arrays
 from modalcam.plugins import load_plugins
 from tracker import Failure, checked
 
@@ -53,8 +54,18 @@ SINGLE_THREAD = (
 
 @dataclass(frozen=True)
 class Tuning:
-    """Limits of the worker processes."""
+    """Memory of processes."""
 
+    #: [bytes] an array of this size is returned to the system when it is freed
+    #: measurement: A column of half a million samples; smaller arrays are reused faster than the system gives new
+    #: pages.
+    large_array: int = 4 * 2**20
+    #: [bytes] a smaller limit on data (RLIMIT_DATA) is refused
+    #: measurement: NumPy, SciPy, OpenCV, FFmpeg and numba take 268 MB (x86-64, one thread); a fifth for a recording.
+    least_data: int = 320 * 2**20
+    #: [bytes] a smaller limit on addresses (RLIMIT_AS) is refused
+    #: measurement: The same libraries take 832 MB of addresses.
+    least_address: int = 1000 * 2**20
     #: [bytes] a process whose memory was larger at its peak is replaced before the next stage
     #: measurement: Above: the libraries and the heap of a film of a million frames hold 0.1 GB; short recordings stay
     #: below.
@@ -247,26 +258,6 @@ class TaskFailure(Failure):
     """A task without a result; `internal` if it raised an unexpected exception."""
 
     internal: bool = False
-
-
-class Progress:
-    """Listener to the stages of a run, which shows nothing. Calls come from the thread that runs the pipeline."""
-
-    def begin(self, stage: str, total: int) -> None:
-        """`stage` starts with `total` tasks."""
-
-    def advance(self, name: str, *, reused: bool = False) -> None:
-        """The task `name`, if it has one, of the current stage has ended; `reused` if its saved result was valid."""
-
-    def within(self, name: str, frames: int, declared: int) -> None:
-        """The task `name` of the current stage has begun; if it counts them, `frames` of `declared` are done."""
-
-    def say(self, text: str) -> None:
-        """Show a message now, such as the response to an interrupt."""
-
-    def note(self, text: str) -> None:
-        """Show a message that is neither a failure nor a warning."""
-        self.say(text)
 
 
 @contextmanager
@@ -463,3 +454,47 @@ def _collected_interrupts() -> Iterator[list[int]]:
     finally:
         for number in replaced:
             signal.signal(number, signal.default_int_handler)
+
+
+# M_MMAP_THRESHOLD of mallopt(3).
+_THRESHOLD = -3
+
+
+def return_large_arrays() -> None:
+    """Make the C library return each large array to the system when it is freed.
+
+    That of GNU by default raises the size from which it does so, up to 32 MB, with every array freed. Those of a long
+    record then lie in its heap, whose holes are a fifth of the peak. Nothing is done with other C libraries.
+    """
+    if sys.platform == "linux":
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+        if mallopt is not None:
+            mallopt(_THRESHOLD, TUNING.large_array)
+
+
+def low_memory_limits() -> str:
+    """Why the limits of this process are too low for the libraries; empty where they are not, and on other systems."""
+    if sys.platform != "linux":
+        return ""
+    import resource  # noqa: PLC0415 - other systems have none
+
+    for name, kind, least in (
+        ("RLIMIT_DATA, ulimit -d", resource.RLIMIT_DATA, TUNING.least_data),
+        ("RLIMIT_AS, ulimit -v", resource.RLIMIT_AS, TUNING.least_address),
+    ):
+        limit = resource.getrlimit(kind)[0]
+        if limit != resource.RLIM_INFINITY and limit < least:
+            return (
+                f"its libraries need {least // 2**20} MB of memory, but this process may use {limit // 2**20} MB "
+                f"({name}); raise the limit, of the shell, container or batch job, to 2 GB or more"
+            )
+    return ""
+
+
+def peak_bytes(pid: int) -> int:
+    """Largest memory so far of a running process, 0 where the system does not say."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text("ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    return 0

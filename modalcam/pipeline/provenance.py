@@ -7,16 +7,24 @@ import importlib.metadata
 import os
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modalcam import __version__
+from modalcam.common import shown
 from modalcam.pipeline.atomic import read_json, write_json
 from modalcam.pipeline.cache import digest
+from modalcam.pipeline.pool import TaskFailure
+from modalcam.pipeline.results import RecordingResult
 from modalcam.plugins import loaded_plugins, source_sha256
+from tracker import FailedTracking
+
+if TYPE_CHECKING:
+    from modalcam.pipeline.stage import Context
 
 LIBRARIES = (
     "numpy",
@@ -154,3 +162,55 @@ def opencv_wheels() -> tuple[str, ...]:
     """Installed distributions that contain OpenCV; two of them overwrite each other's files."""
     names = (d.metadata["Name"] or "" for d in importlib.metadata.distributions())
     return tuple(sorted({name for name in names if name.startswith("opencv-")}))
+
+
+def hashed(
+    context: Context, recordings: Sequence[RecordingResult], meanwhile: Iterator[object] | None = None
+) -> list[RecordingResult]:
+    """The recordings with the SHA-256 of each, or the reason why it cannot be read.
+
+    Only recordings that are new or have changed are read, by worker processes; with `force` all of them. Until they
+    have been read, this process takes steps of `meanwhile`.
+    """
+    remembered = RememberedHashes(context.workspace.hashes)
+    paths = [r.path for r in recordings if r.path is not None and r.tracks is None]
+    known = {} if context.force else {path: remembered.get(path) for path in paths}
+    found: dict[Path | None, str | TaskFailure] = {path: sha256 for path, sha256 in known.items() if sha256}
+    todo = [path for path in paths if path not in found]
+    if todo:
+        context.progress.begin("reading", len(todo))
+        stamps = {path: remembered.stamp(path) for path in todo}
+        results = context.pool.map(
+            _sha256, todo, done=lambda i: context.progress.advance(todo[i].name), meanwhile=meanwhile
+        )
+        found.update(zip(todo, results, strict=True))
+        new = {path: found[path] for path in todo}
+        remembered.store(stamps, {path: value for path, value in new.items() if isinstance(value, str)})
+
+    def with_hash(recording: RecordingResult) -> RecordingResult:
+        value = found.get(recording.path, "")
+        if isinstance(value, TaskFailure):
+            return replace(recording, tracks=FailedTracking(value.reason, recording.file))
+        return replace(recording, sha256=value)
+
+    return [with_hash(recording) for recording in recordings]
+
+
+def duplicates(recordings: Sequence[RecordingResult]) -> tuple[str, ...]:
+    """A sentence for each group of recordings with the same content: they are no repeated measurement."""
+    files: dict[str, list[str]] = {}
+    for recording in recordings:
+        if recording.sha256:
+            files.setdefault(recording.sha256, []).append(shown(recording.file))
+    return tuple(
+        f"{', '.join(same[:-1])} and {same[-1]} have the same content: they are one measurement, not {len(same)}."
+        for same in files.values()
+        if len(same) > 1
+    )
+
+
+def _sha256(path: Path) -> str | TaskFailure:
+    try:
+        return recording_sha256(path)
+    except OSError as error:
+        return TaskFailure(f"the file cannot be read ({error.strerror})")

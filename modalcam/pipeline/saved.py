@@ -9,10 +9,10 @@ from typing import Any
 
 from modalcam.common import InputError
 from modalcam.config import dump_config
-from modalcam.pipeline.added import ADDED_STAGES, added_stages
 from modalcam.pipeline.cache import load
 from modalcam.pipeline.output_folder import RunRecord, Source, Workspace
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult, RunResult
+from modalcam.pipeline.stage import ADDED_STAGES, added_stages
 from modalcam.plugins import load_plugins
 
 

@@ -1,24 +1,88 @@
-"""A stage of a run: a function that worker processes call, and whose results are saved until an input changes."""
+"""A stage of a run, of the core or added: a function that worker processes call, and whose results are saved."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
 from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline.atomic import temporary_name
 from modalcam.pipeline.cache import load, save
-from modalcam.pipeline.frame_count import FrameCount
 from modalcam.pipeline.output_folder import Workspace
-from modalcam.pipeline.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.pool import TaskFailure, WorkerPool
 from modalcam.pipeline.provenance import code_state, stage_key
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
 
+if TYPE_CHECKING:
+    from sim.beam import BeamProperties
+    from sim.damping import MeasuredDamping
+
+# Frames done and declared; 0 from the beginning of the task on.
+_COUNT = struct.Struct("<QQ")
+# Frames from one writing to the next: it costs as much as a hundredth of a small frame.
+_EVERY = 8
+
+
+@dataclass(frozen=True)
+class FrameCount:
+    """The count of one task, which the worker writes and the parent reads."""
+
+    path: Path
+
+    def begin(self) -> None:
+        """Note that the task has begun."""
+        # Progress must not end a task: a full disk is noticed when the result is saved.
+        with suppress(OSError):
+            self.path.write_bytes(_COUNT.pack(0, 0))
+
+    def __call__(self, done: int, declared: int) -> None:
+        """Note the frames done, now and then; as the listener of `tracker.track.track`."""
+        if done % _EVERY == 0 or done == declared:
+            # Not emptied before: the system writes a file that is emptied to the disk when it is closed.
+            with suppress(OSError), self.path.open("r+b", buffering=0) as file:
+                file.write(_COUNT.pack(done, max(declared, 0)))
+
+    def read(self) -> tuple[int, int] | None:
+        """Frames done and declared, 0 where unknown; None where the task has not begun or has ended."""
+        try:
+            done, declared = _COUNT.unpack(self.path.read_bytes())
+        except (OSError, struct.error):
+            return None
+        return int(done), int(declared)
+
+    def end(self) -> None:
+        """Remove the file."""
+        with suppress(OSError):
+            self.path.unlink()
+
+
 Result = TypeVar("Result")
+
+
+class Progress:
+    """Listener to the stages of a run, which shows nothing. Calls come from the thread that runs the pipeline."""
+
+    def begin(self, stage: str, total: int) -> None:
+        """`stage` starts with `total` tasks."""
+
+    def advance(self, name: str, *, reused: bool = False) -> None:
+        """The task `name`, if it has one, of the current stage has ended; `reused` if its saved result was valid."""
+
+    def within(self, name: str, frames: int, declared: int) -> None:
+        """The task `name` of the current stage has begun; if it counts them, `frames` of `declared` are done."""
+
+    def say(self, text: str) -> None:
+        """Show a message now, such as the response to an interrupt."""
+
+    def note(self, text: str) -> None:
+        """Show a message that is neither a failure nor a warning."""
+        self.say(text)
 
 
 @dataclass(frozen=True)
@@ -256,3 +320,54 @@ def _compute_and_save(task: _Task) -> Any:
         task.counter.end()
     save(task.path, task.key, value)
     return value
+
+
+Beside = Literal["updating", "simulating", "run"]
+
+
+@dataclass(frozen=True)
+class UpdatedBeam:
+    """What the recordings are compared with: the updated beam, and the measured damping of its modes."""
+
+    properties: BeamProperties
+    damping: MeasuredDamping
+
+
+@dataclass(frozen=True)
+class AddedStage:
+    """A stage with one result for each recording or for the run, kept in their `added` under the name of its file.
+
+    Attributes
+    ----------
+    stage : Stage
+        Its `function` runs in a worker process.
+    beside : {"updating", "simulating", "run"}
+        The stage of the core that it runs beside. One beside "updating" runs in every run, with or without a beam; one
+        beside "simulating" needs the updated beam, and its result is dropped where the comparison of its recording
+        fails. One beside "run" runs after all others and has one result.
+    inputs : callable
+        From the context of the run, a recording, or beside "run" the `RunResult`, and the updated beam, which is given
+        beside "simulating" only: the arguments of the stage's function, or None for no result. Called in the main
+        process.
+    """
+
+    stage: Stage[Any]
+    beside: Beside
+    inputs: Callable[[Context, Any, UpdatedBeam | None], Mapping[str, Any] | None]
+
+
+# By the file of their stage.
+ADDED_STAGES: dict[str, AddedStage] = {}
+
+
+def register_stage(added: AddedStage) -> None:
+    """Add a stage, the name of whose file must be new; ValueError otherwise."""
+    file = added.stage.file
+    if file in STAGE_FIELDS or ADDED_STAGES.setdefault(file, added) is not added:
+        msg = f"a stage with the file {file!r} is registered already; choose another name"
+        raise ValueError(msg)
+
+
+def added_stages(beside: Beside) -> tuple[AddedStage, ...]:
+    """The added stages that run beside a stage of the core, in the order in which they were registered."""
+    return tuple(added for added in ADDED_STAGES.values() if added.beside == beside)

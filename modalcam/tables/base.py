@@ -1,14 +1,22 @@
-"""What an output format is: a description and the files that it contributes to OUT."""
+"""What an output format is, and the tables that apps and plugins write.
+
+Few imports: a run that is up to date loads plugins, but not the results whose columns `columns` collects.
+"""
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace
+from tracker import Column
+
+if TYPE_CHECKING:
+    from modalcam.pipeline import RunResult
 
 
 @dataclass(frozen=True)
@@ -56,3 +64,26 @@ class Writer:
             f"{self.files} was not written: {' and '.join(absent)} not installed; "
             f"install with pip install {' '.join(absent)}."
         )
+
+
+Rows = Callable[["RunResult"], Sequence[dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class RegisteredTable:
+    """Columns of a table; of one that a run writes where it has rows, what it holds and its rows."""
+
+    columns: tuple[Column, ...]
+    about: str = ""
+    rows: Rows | None = None
+
+
+#: Each table by the name of its file.
+REGISTERED: dict[str, RegisteredTable] = {}
+
+
+def register_table(name: str, columns: tuple[Column, ...], about: str = "", rows: Rows | None = None) -> None:
+    """Add a table of an app or a plugin, as in `RegisteredTable`; ValueError if another one has the name."""
+    if REGISTERED.setdefault(name, made := RegisteredTable(columns, about, rows)) != made:
+        msg = f"a table named {name!r} is registered already; choose another name"
+        raise ValueError(msg)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from modal_id import DAMPING, MODE_COLUMNS, RESPONSE_COLUMNS
 from modal_id.modes import ALIAS_COLUMNS
-from modalcam.tables.registered import REGISTERED
+from modalcam.tables.base import REGISTERED
 from sim.comparison import COMPARISON_COLUMNS
 from sim.damping import LAW_COLUMNS, LEFT_OUT_COLUMNS, PART_COLUMNS
 from sim.updating import UPDATING_COLUMNS

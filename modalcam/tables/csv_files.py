@@ -1,22 +1,34 @@
-"""CSV files of OUT: tracks, modes, comparison and updating."""
+"""CSV files of OUT: tracks, modes and their shapes, response to an input, comparison and updating."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from modal_id.modes import Aliases
+import numpy as np
+
+from modal_id import FrequencyResponse, IdentifiedMode
+from modal_id.modes import Aliases, Curvature, beam_curvature, in_phase
 from modalcam.common import csv_safe
 from modalcam.config import ExperimentConfig
-from modalcam.pipeline import RecordingResult, RunResult, Workspace, aliases, mode_table, replacing
+from modalcam.pipeline import (
+    BeamResult,
+    RecordingResult,
+    RunResult,
+    Workspace,
+    aliases,
+    mode_table,
+    replacing,
+)
 from modalcam.tables.base import Output, Writer
-from modalcam.tables.columns import DRAG_COLUMNS
+from modalcam.tables.columns import DRAG_COLUMNS, PARTICIPATION_COLUMNS, SHAPE_COLUMNS
 from sim.comparison import COMPARISON_COLUMNS, DecayComparison
 from sim.damping import LAW_COLUMNS, LEFT_OUT_COLUMNS, PART_COLUMNS, LawComparison
 from sim.updating import UPDATING_COLUMNS
-from tracker import Column, MarkerTracks
+from tracker import Column, ComplexArray, Failure, FloatArray, MarkerTracks, table_row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,4 +179,155 @@ LAWS = (
         partial(law_rows, "damping_parts"),
         PART_COLUMNS,
     ),
+)
+
+
+class Participation(NamedTuple):
+    """A mode at one channel of a recording with a measured input."""
+
+    recording: str
+    mode: IdentifiedMode
+    channel: str
+    participation: float
+    participation_sd: float
+    unit: str
+    is_force: bool
+
+    @property
+    def modal_mass(self) -> float:
+        """Inverse of the participation; NaN for a motion of the base."""
+        return 1.0 / self.participation if self.is_force and self.participation else float("nan")
+
+    @property
+    def modal_mass_sd(self) -> float:
+        """Its standard deviation, to first order."""
+        return (
+            abs(self.modal_mass / self.participation) * self.participation_sd
+            if self.is_force
+            else float("nan")
+        )
+
+
+def participations(recording: RecordingResult) -> Iterator[Participation]:
+    """One for each mode and channel that was fitted; none without a measured input."""
+    found = recording.identified
+    if found is None or found.series.known_input is None:
+        return
+    known = found.series.known_input
+    unit = f"{found.series.unit}/({known.unit} s^2)" if known.is_force else "1"
+    for mode in found.modes:
+        values, errors = mode.participation, mode.participation_sd
+        if values is None or errors is None:
+            continue
+        for k in np.flatnonzero(np.isfinite(values)):
+            name = found.series.channels[k]
+            yield Participation(
+                recording.name, mode, name, float(values[k]), float(errors[k]), unit, known.is_force
+            )
+
+
+def _responses(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    for recording in result.recordings:
+        found = recording.identified
+        response = None if found is None else found.response
+        if isinstance(response, FrequencyResponse):
+            write = partial(write_table, parts=(response.to_dataframe(),))
+            yield Output(workspace.response(recording.name), response, write)
+
+
+def _participations(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    rows = [table_row(PARTICIPATION_COLUMNS, one) for r in result.recordings for one in participations(r)]
+    if rows:
+        write = partial(write_table, parts=(frame(rows, PARTICIPATION_COLUMNS),))
+        yield Output(workspace.out / "participation.csv", result, write)
+
+
+RESPONSE = Writer(
+    "response",
+    "response/<recording>.csv",
+    "only with a measured input: frequency response with its 90 % band, the local-polynomial estimate and the "
+    "coherence, one row per channel and frequency",
+    _responses,
+)
+PARTICIPATION = Writer(
+    "participation",
+    "participation.csv",
+    "only with a measured input: participation factors, or modal constants and masses of a force, one row per "
+    "recording, mode and channel",
+    _participations,
+)
+
+
+@dataclass(frozen=True)
+class ShapePoint:
+    """A mode of a recording at one marker; curvature NaN where there is none."""
+
+    recording: str
+    mode: IdentifiedMode
+    marker: str
+    position_mm: float
+    shape: complex
+    shape_sd: float
+    curvature_1_m2: float
+    curvature_sd_1_m2: float
+
+
+def unit_shape(mode: IdentifiedMode) -> ComplexArray:
+    """Shape with a largest modulus of 1, rotated so that the sum of squares of its imaginary part is smallest."""
+    return in_phase(mode.shape) / mode.amplitude
+
+
+def curvature(
+    recording: RecordingResult, mode: IdentifiedMode, beam: BeamResult | None, at_mm: FloatArray | None = None
+) -> Curvature | Failure:
+    """Curvature of `unit_shape` in 1/m^2, at the markers or at other distances from the clamp.
+
+    Relative to an amplitude: times that of the mode in m, it is the curvature of the beam in 1/m.
+    """
+    identified, tracks = recording.identified, recording.tracks
+    if identified is None or beam is None:
+        return Failure("the free length of the beam is unknown: give it in [beam]")
+    if not beam.standard.cantilever:
+        return Failure(
+            f"curvatures are known for a clamped and a free end only, not for {beam.standard.ends}"
+        )
+    return beam_curvature(
+        identified.series.positions_mm,
+        unit_shape(mode),
+        mode.shape_sd / mode.amplitude,
+        1e3 * beam.standard.length_m,
+        at_mm,
+        tracks.ends_sd_mm if isinstance(tracks, MarkerTracks) else None,
+    )
+
+
+def shape_rows(result: RunResult) -> Iterator[dict[str, Any]]:
+    """One row for each mode and marker of known position; NaN where there is no curvature."""
+    for recording in result.recordings:
+        if recording.identified is None:
+            continue
+        series = recording.identified.series
+        for mode in recording.identified.modes:
+            shape, found = unit_shape(mode), curvature(recording, mode, result.beam)
+            unknown = np.full(shape.size, np.nan)
+            value, sd = (unknown, unknown) if isinstance(found, Failure) else (found.value, found.sd)
+            for k in np.flatnonzero(np.isfinite(series.positions_mm) & np.isfinite(shape)):
+                point = ShapePoint(
+                    recording.name,
+                    mode,
+                    series.channels[k],
+                    series.positions_mm[k],
+                    shape[k],
+                    mode.shape_sd[k] / mode.amplitude,
+                    value[k],
+                    sd[k],
+                )
+                yield table_row(SHAPE_COLUMNS, point)
+
+
+SHAPES = table_writer(
+    "shapes",
+    "mode shapes and their curvature, one row per recording, mode and marker of known position",
+    shape_rows,
+    SHAPE_COLUMNS,
 )

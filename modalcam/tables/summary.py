@@ -35,8 +35,14 @@ from modalcam.pipeline import (
     write_text,
 )
 from modalcam.tables.base import Output, Writer
-from modalcam.tables.csv_files import LAW_TABLES, comparison_rows, drag_rows, law_rows, updating_rows
-from modalcam.tables.shapes import curvature
+from modalcam.tables.csv_files import (
+    LAW_TABLES,
+    comparison_rows,
+    curvature,
+    drag_rows,
+    law_rows,
+    updating_rows,
+)
 from sim.updating import Updating
 from tracker import INTERVAL_ENDS, DisplacementSeries, FailedTracking, Failure, MarkerTracks, table_row
 

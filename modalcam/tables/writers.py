@@ -11,9 +11,8 @@ from dataclasses import replace
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import RunResult, Workspace
 from modalcam.tables import csv_files as tables
-from modalcam.tables import first_frame, netcdf, response, shapes, uff, workbook
-from modalcam.tables.base import Output, Writer
-from modalcam.tables.registered import REGISTERED
+from modalcam.tables import first_frame, netcdf, uff, workbook
+from modalcam.tables.base import REGISTERED, Output, Writer
 from modalcam.tables.summary import CONFIG, SUMMARY
 
 # In the order in which they are written.
@@ -27,9 +26,9 @@ WRITERS: dict[str, Writer] = {
         tables.MODES,
         workbook.WORKBOOK,
         tables.ALIASES,
-        shapes.SHAPES,
-        response.RESPONSE,
-        response.PARTICIPATION,
+        tables.SHAPES,
+        tables.RESPONSE,
+        tables.PARTICIPATION,
         tables.COMPARISON,
         tables.UPDATING,
         *tables.LAWS,

@@ -12,7 +12,7 @@ from kit.attacks import content
 from kit.films import EXPERIMENT, write_decay
 
 from modalcam.commands import Options, run
-from modalcam.pipeline import pool
+from modalcam.pipeline import Progress
 
 KILLS = 24
 
@@ -50,7 +50,7 @@ def forked(folder, out, kill_at=0):
         sys.addaudithook(count)
         code = 1
         try:
-            run(folder, Options(out), pool.Progress())
+            run(folder, Options(out), Progress())
             code = 0
         finally:
             os.write(writer, str(seen).encode())
@@ -103,5 +103,5 @@ def test_a_run_killed_while_it_saves_or_writes_ends_with_the_same_bytes(
     # Hashes are remembered of recordings only that had not just changed when the run began.
     remembered = "state/inputs.json"
     assert differing(out, expected, remembered), "the run had ended before it was killed"
-    run(decay_run / "videos", Options(out), pool.Progress())
+    run(decay_run / "videos", Options(out), Progress())
     assert not differing(out, expected, remembered)

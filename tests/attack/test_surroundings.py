@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from modalcam.cli import app
 from modalcam.commands import Options, identify
 from modalcam.config import RecordingConfig
-from modalcam.pipeline import pool
+from modalcam.pipeline import Progress
 
 ODD = {
     "LANG": "C",
@@ -31,7 +31,7 @@ ONE_FIGURE = """
 import sys
 from support.worker_tasks import InThisProcess
 from modalcam import cli
-from modalcam.pipeline import pool
+from modalcam.pipeline import Progress, pool
 from modalcam.report.figures import FIGURES
 for key in FIGURES.keys() - {"decay"}:
     del FIGURES[key]
@@ -46,7 +46,7 @@ def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process, no_fig
     csv = tmp_path / "décay.csv"
     write_csv(csv)
     recording = RecordingConfig(file=csv.name)
-    identify(csv, Options(tmp_path / "plain"), pool.Progress(), unit="1", recording=recording)
+    identify(csv, Options(tmp_path / "plain"), Progress(), unit="1", recording=recording)
     done = subprocess.run(
         [sys.executable, "-c", ONE_FIGURE, "identify", csv.name, "-o", "odd"],
         cwd=tmp_path,

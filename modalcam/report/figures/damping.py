@@ -1,23 +1,27 @@
-"""Damping ratio against frequency over all recordings: measured, and as each damping model gives it."""
+"""Damping ratio against frequency over all recordings, measured and by each model; against amplitude in one."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modal_id import IdentifiedMode
 from modalcam.pipeline import BeamResult, RunResult
-from modalcam.report.figures.base import FigureKind
-from modalcam.report.signals import shown_mode
+from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.signals import instantaneous, shown_mode
 from modalcam.report.style import (
     ALERT,
+    FIT,
     INK,
+    MEASURED,
     RAYLEIGH,
     PointLabel,
     Style,
+    few_ticks,
+    figure_label,
     legend_above,
     log_y,
     place_labels,
@@ -281,3 +285,54 @@ def _log_x(axes: Axes, span: tuple[float, float]) -> None:
 
 DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=2.7, width_in=_WIDTH_IN, essential=True)
 VARIANTS = FigureKind("variants", "comparison", _shows_variants, _draw, height_in=3.5, width_in=_WIDTH_IN)
+
+
+def _draw_instantaneous(figure: Figure, shown: Target) -> bool:
+    found, mode, channel = shown
+    seen = instantaneous(found, mode, channel)
+    if seen.amplitude.size < 3:
+        return False
+    f, initial = mode.frequency_hz, float(np.abs(mode.shape[channel]))
+    left, right = figure.subplots(1, 2)
+    low, high = mode.damping_interval()
+    zeta, zeta_sd = 100.0 * seen.damping_ratio, 100.0 * seen.damping_ratio_sd
+    _windows(left, seen.amplitude, zeta, zeta_sd, (100.0 * low, 100.0 * high))
+    low, high = mode.frequency_interval_hz()
+    _windows(right, seen.amplitude, seen.frequency_hz - f, seen.frequency_sd_hz, (low - f, high - f))
+    axis = np.linspace(0.0, max(initial, float(np.max(seen.amplitude))), 60)
+    fit = mode.amplitude_dependence
+    if fit is not None and fit.significant:
+        curve = fit.curve
+        if curve is not None:
+            a = curve.amplitude * initial / float(np.nanmax(np.abs(mode.shape)))
+            _law(left, a, 100.0 * curve.damping_ratio, 100.0 * curve.damping_ratio_sd)
+            _law(right, a, curve.frequency_hz - f, curve.frequency_sd_hz)
+        else:
+            a = axis / initial
+            zeta_sd, f_sd = (
+                np.hypot(fit.zeta0_sd, fit.zeta1_sd * a),
+                np.hypot(fit.f0_sd_hz, fit.f2_sd_hz * a**2),
+            )
+            _law(left, axis, 100.0 * (fit.zeta0 + fit.zeta1 * a), 100.0 * zeta_sd)
+            _law(right, axis, fit.f0_hz + fit.f2_hz * a**2 - f, f_sd)
+    left.set_ylabel("damping ratio ζ (%)")
+    right.set_ylabel("frequency − fitted (Hz)")
+    for axes in (left, right):
+        axes.set(xlabel=f"amplitude ({figure_label(found.series.unit)})", xlim=(0.0, axis[-1]))
+        few_ticks(axes, x=6)
+    legend_above(figure, left.get_legend_handles_labels(), columns=3)
+    return True
+
+
+def _windows(axes: Axes, amplitude: Any, value: Any, sd: Any, band: tuple[float, float]) -> None:
+    axes.axhspan(*band, color=FIT, alpha=0.25, linewidth=0.0, label="fitted constant, 90 %")
+    style: Style = {"fmt": "o", "markersize": 2.6, "linewidth": 0.8, "color": MEASURED}
+    axes.errorbar(amplitude, value, sd, label="windows of the record", **style)
+
+
+def _law(axes: Axes, axis: FloatArray, value: FloatArray, sd: FloatArray) -> None:
+    axes.plot(axis, value, "--", color=ALERT, linewidth=1.2, label="fitted amplitude dependence, 90 %")
+    axes.fill_between(axis, value - 1.645 * sd, value + 1.645 * sd, color=ALERT, alpha=0.15, linewidth=0.0)
+
+
+INSTANTANEOUS = FigureKind("instantaneous", "recording", RecordingSubject.decaying, _draw_instantaneous)

@@ -7,18 +7,14 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 from modalcam.pipeline import Cache
-from modalcam.report.figures.ambient import AMBIENT
 from modalcam.report.figures.base import FigureKind, Place
-from modalcam.report.figures.damping import DAMPING, VARIANTS
+from modalcam.report.figures.damping import DAMPING, INSTANTANEOUS, VARIANTS
 from modalcam.report.figures.decay import CLOSE_UP, DECAY, ENVELOPE, EXTREMES
-from modalcam.report.figures.frequency import SPECTRUM, STABILITY
-from modalcam.report.figures.instantaneous import INSTANTANEOUS
+from modalcam.report.figures.frequency import AMBIENT, RESPONSE, SPECTRUM, STABILITY
 from modalcam.report.figures.posterior import POSTERIOR, TRACE
-from modalcam.report.figures.response import RESPONSE
-from modalcam.report.figures.shape import SHAPE, WATERFALL
+from modalcam.report.figures.shape import FIELDS, SHAPE, WATERFALL
 from modalcam.report.figures.simulated import SIMULATED
 from modalcam.report.figures.tracking import TRACKING
-from modalcam.report.figures.updating import FIELDS
 from modalcam.report.style import FigureView
 
 _RECORDING = (

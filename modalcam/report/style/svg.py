@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
-from modalcam.report.style.palette import variables
+from modalcam.report.style.figure import variables
 from modalcam.report.style.text import trusted
 
 if TYPE_CHECKING:

@@ -46,7 +46,8 @@ track(folder / "mode3.avi", settings.model_copy(update={"stations": 10}))
 # What the first command and the next say of the kernels of synthetic films.
 TWO_COMMANDS = """
 from support.worker_tasks import InThisProcess
-from modalcam.pipeline.pool import Progress, WorkerPool
+from modalcam.pipeline.pool import WorkerPool
+from modalcam.pipeline.stage import Progress
 from modalcam.pipeline.compile import FILMS, STAGE, compile_kernels
 class Told(Progress):
     def begin(self, stage, total):

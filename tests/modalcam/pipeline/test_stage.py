@@ -120,7 +120,7 @@ def test_stages_that_run_together_are_shown_one_after_the_other(context, tmp_pat
 
 
 def test_stages_of_plugins_run_without_a_beam_or_say_that_they_did_not(context, monkeypatch):
-    monkeypatch.setattr("modalcam.pipeline.added.ADDED_STAGES", {})
+    monkeypatch.setattr("modalcam.pipeline.stage.ADDED_STAGES", {})
     given = {"recording": InputFile(Path("a.avi"), "00"), "factor": 2.0}
     for name, file, beside in (("weighing", "weighed", "updating"), ("loading", "loaded", "simulating")):
         register_stage(AddedStage(replace(SCALING, name=name, file=file), beside, lambda *_: given))
