@@ -1,9 +1,9 @@
 from .code import Code as Code
 from .code import fill as fill
 from .code import real as real
+from .codes import CODES as CODES
+from .codes import deck as deck
+from .codes import register_code as register_code
 from .damping import DampedMode as DampedMode
 from .damping import Damping as Damping
 from .damping import damping_of as damping_of
-from .registry import CODES as CODES
-from .registry import deck as deck
-from .registry import register_code as register_code

@@ -28,8 +28,8 @@ def deck(
     force: Replace = False,
 ) -> None:
     """Print the damping as input of a simulation code."""
+    from modalcam.apps.deck.codes import deck as written
     from modalcam.apps.deck.damping import damping_of
-    from modalcam.apps.deck.registry import deck as written
     from modalcam.pipeline import load_run, write_text
 
     if out is not None:

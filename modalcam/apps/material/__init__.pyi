@@ -1,5 +1,3 @@
-from .conditions import Condition as Condition
-from .conditions import MaterialValue as MaterialValue
 from .equations import bar_modulus as bar_modulus
 from .equations import clamped_coefficient as clamped_coefficient
 from .equations import flexural_correction as flexural_correction
@@ -9,7 +7,9 @@ from .equations import modified_oberst_layer as modified_oberst_layer
 from .equations import oberst_layer as oberst_layer
 from .equations import sandwich_core as sandwich_core
 from .equations import torsional_correction as torsional_correction
+from .material import Condition as Condition
 from .material import Material as Material
+from .material import MaterialValue as MaterialValue
 from .material import material as material
 from .page import show as show
 from .page import write_csv as write_csv

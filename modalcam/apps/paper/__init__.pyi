@@ -1,7 +1,6 @@
 from . import page as page
 from . import tables as tables
 from .cli import paper as paper
-from .figures import variables as variables
 from .page import checks as checks
 from .page import error as error
 from .page import numbered as numbered
@@ -13,6 +12,7 @@ from .page import percent_range as percent_range
 from .page import signed_percent as signed_percent
 from .page import signed_range as signed_range
 from .page import templates as templates
+from .page import variables as variables
 from .page import within as within
 from .recomputed import OptimumColumn as OptimumColumn
 from .recomputed import Recomputed as Recomputed

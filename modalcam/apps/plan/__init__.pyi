@@ -1,12 +1,12 @@
 from .page import advice as advice
 from .page import plan_html as plan_html
+from .plan import better_positions as better_positions
+from .plan import frame_rates as frame_rates
 from .plan import plan as plan
+from .plan import run_trials as run_trials
 from .predict import frequency_per_amplitude_squared as frequency_per_amplitude_squared
 from .predict import predict as predict
 from .predict import template_factors as template_factors
 from .request import Plan as Plan
 from .request import TrialSummary as TrialSummary
 from .request import plan_request as plan_request
-from .trials import better_positions as better_positions
-from .trials import frame_rates as frame_rates
-from .trials import run_trials as run_trials

@@ -22,10 +22,10 @@ from .frames import trail as trail
 from .next_step import Stand as Stand
 from .next_step import done_views as done_views
 from .next_step import next_step as next_step
-from .remarks import ranked as ranked
-from .results import run_results as run_results
+from .next_step import ranked as ranked
 from .run import Runner as Runner
 from .run import RunState as RunState
+from .run import run_results as run_results
 from .server import MOST_BODY_BYTES as MOST_BODY_BYTES
 from .server import Guard as Guard
 from .session import Pools as Pools

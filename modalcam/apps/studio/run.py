@@ -1,4 +1,4 @@
-"""A run started by the studio: at most one, in a process of its own, with its progress so far.
+"""A run started by the studio: at most one, in a process of its own, with its progress and what it found.
 
 The process, ``python -m modalcam.apps.studio.run``, is ``modalcam run --progress json`` that a line on its standard
 input, or its end, interrupts: what has begun is finished and saved.
@@ -21,6 +21,7 @@ from types import FrameType
 
 from modalcam.common import ExitCode, ModalcamError
 from modalcam.pace import rest_of_run_s
+from tracker import Failure
 
 
 def main() -> None:
@@ -282,6 +283,38 @@ class Runner:
             code = process.wait()
         state.ended_s = time.monotonic()
         state.exit_code = code
+
+
+MODE_COLUMNS = ("recording", "mode", "frequency / Hz", "damping ratio / %", "90 % interval / %", "flags")
+
+
+@dataclass(frozen=True)
+class RunResults:
+    """Rows of the table, and (file, reason) of each recording without a result."""
+
+    rows: tuple[tuple[str, ...], ...]
+    failures: tuple[tuple[str, str], ...]
+
+
+def run_results(summary: Path) -> RunResults | Failure:
+    """Read them from ``summary.json``."""
+    from modalcam.console import mode_cells  # noqa: PLC0415 - heavy
+
+    try:
+        found = json.loads(summary.read_text("utf-8"))
+        recordings, config = found["recordings"], found["config"]
+        cells = [(motion, row) for recording in recordings for motion, row in mode_cells(recording, config)]
+        rows = tuple((*row, ", ".join(motion["flags"])) for motion, row in cells)
+        reasons = ((one["file"], one["failure"] or _no_target(one["failed_modes"])) for one in recordings)
+        # The message of a reader starts with the file's name.
+        failures = tuple((file, reason.removeprefix(f"{file}: ")) for file, reason in reasons if reason)
+        return RunResults(rows, failures)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        return Failure(f"summary.json of the run cannot be read: {error!r}")
+
+
+def _no_target(failed: list[dict[str, object]]) -> str:
+    return next((str(mode["reason"]) for mode in failed if mode["target"]), "")
 
 
 if __name__ == "__main__":

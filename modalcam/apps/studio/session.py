@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 from modalcam.apps.studio.draft import Draft
 from modalcam.apps.studio.frames import FrameTask, frame_png, stamps_of
 from modalcam.apps.studio.next_step import Stand
-from modalcam.apps.studio.run import Runner
+from modalcam.apps.studio.run import Runner, RunResults, run_results
 from modalcam.common import ConfigError, ExitCode, InputError, ModalcamError, real, shown
 from modalcam.config import CONFIG_NAME, ExperimentConfig, RecordingConfig, tracker_settings
 from modalcam.inputs import RATE_UNKNOWN, Discovery, Found, Probe, discover, probe_recordings
@@ -24,7 +24,6 @@ from tracker import Failure
 if TYPE_CHECKING:
     from modal_id import Identification
     from modalcam.apps.studio.decay import Decay, ExpectedIntervals
-    from modalcam.apps.studio.results import RunResults
     from modalcam.apps.studio.trial import DetectedMarker, Proposals, Trial, TrialTask
     from tracker import FailedTracking, MarkerTracks
 
@@ -301,8 +300,6 @@ class Studio:
 
     def results(self) -> RunResults | Failure:
         """Modes and failures of the last run, where `report` gives one."""
-        from modalcam.apps.studio.results import RunResults, run_results  # noqa: PLC0415 - heavy
-
         summary = None if self.workspace is None else self.workspace.summary
         if summary is None or not summary.is_file() or summary.is_symlink():
             return Failure("there are no results yet")

@@ -10,7 +10,7 @@ from nicegui import ui
 
 from modalcam.apps.studio.decay import Decay, FoundMode, peak_near
 from modalcam.apps.studio.draft import Draft
-from modalcam.apps.studio.remarks import Rank
+from modalcam.apps.studio.next_step import Rank
 from modalcam.apps.studio.views.shared import (
     PageState,
     button,

@@ -10,7 +10,7 @@ from nicegui import ui
 from modalcam.apps.studio.draft import Value
 from modalcam.apps.studio.frames import markers_text
 from modalcam.apps.studio.markers import parse_rate
-from modalcam.apps.studio.remarks import Rank
+from modalcam.apps.studio.next_step import Rank
 from modalcam.apps.studio.views.shared import (
     PageState,
     button,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from nicegui import background_tasks, ui
 
 from modalcam.apps.studio.frames import marked, trail
-from modalcam.apps.studio.remarks import Rank, ranked
-from modalcam.apps.studio.results import MODE_COLUMNS, RunResults
-from modalcam.apps.studio.run import RunState, StageState
+from modalcam.apps.studio.next_step import Rank, ranked
+from modalcam.apps.studio.run import MODE_COLUMNS, RunResults, RunState, StageState
 from modalcam.apps.studio.trial import MOST_LISTED, FollowedWindow, evenly, summarised
 from modalcam.apps.studio.views.shared import (
     PageState,

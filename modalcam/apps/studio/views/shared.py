@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from nicegui import core, run, ui
 
-from modalcam.apps.studio.next_step import done_views, next_step
-from modalcam.apps.studio.remarks import Rank
+from modalcam.apps.studio.next_step import Rank, done_views, next_step
 from modalcam.apps.studio.session import Studio
 from modalcam.common import ModalcamError, for_terminal, shown
 from modalcam.config import RecordingConfig
