@@ -3,13 +3,13 @@ from .folder import Found as Found
 from .folder import Selection as Selection
 from .folder import discover as discover
 from .folder import hashes_of_inputs as hashes_of_inputs
-from .motion_of import motion_of as motion_of
 from .probe import RATE_UNKNOWN as RATE_UNKNOWN
 from .probe import Probe as Probe
 from .probe import probe_folder as probe_folder
 from .probe import probe_recordings as probe_recordings
 from .probe import starter_config as starter_config
 from .series import is_tracks as is_tracks
+from .series import motion_of as motion_of
 from .series import read_uff as read_uff
 from .series import series_from_table as series_from_table
 from .series import tracks_from_table as tracks_from_table

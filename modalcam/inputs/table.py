@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from modalcam.common import InputError, readable_bytes, shown
+from modalcam.inputs.array_files import TUNING as TIME_AXIS
+from modalcam.inputs.array_files import samples_by_channels
 from modalcam.inputs.stated import unit_in_names
 from modalcam.inputs.table_readers import TABLE_READERS, UFF_ENDINGS
 from modalcam.inputs.text_table import read_text
-from modalcam.inputs.time_axis import TUNING as TIME_AXIS
-from modalcam.inputs.time_axis import samples_by_channels
 from tracker.video import recording_suffixes
 
 MAX_BYTES = 2_000_000_000

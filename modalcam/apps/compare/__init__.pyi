@@ -1,3 +1,3 @@
 from .cli import compare as compare
 from .compare import compare_runs as compare_runs
-from .page import page as page
+from .compare import page as page

@@ -31,8 +31,7 @@ def compare(
     force: Replace = False,
 ) -> None:
     """Compare the modes of a beam in several runs."""
-    from modalcam.apps.compare.compare import compare_runs
-    from modalcam.apps.compare.page import FILES, show, write_files
+    from modalcam.apps.compare.compare import FILES, compare_runs, show, write_files
 
     if to is not None:
         for name in FILES:

@@ -1,8 +1,8 @@
-from .code import Code as Code
-from .code import fill as fill
-from .code import real as real
 from .codes import CODES as CODES
+from .codes import Code as Code
 from .codes import deck as deck
+from .codes import fill as fill
+from .codes import real as real
 from .codes import register_code as register_code
 from .damping import DampedMode as DampedMode
 from .damping import Damping as Damping

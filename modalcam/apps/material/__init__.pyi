@@ -14,9 +14,9 @@ from .material import material as material
 from .page import show as show
 from .page import write_csv as write_csv
 from .plugin import MATERIAL_COLUMNS as MATERIAL_COLUMNS
-from .run import departures as departures
-from .run import modes_of as modes_of
-from .run import of_run as of_run
 from .specimen import BarMode as BarMode
 from .specimen import Quantity as Quantity
 from .specimen import Specimen as Specimen
+from .specimen import departures as departures
+from .specimen import modes_of as modes_of
+from .specimen import of_run as of_run

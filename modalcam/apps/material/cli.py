@@ -49,7 +49,7 @@ def material(
     """Compute moduli and loss factors of the material."""
     from modalcam.apps.material.material import material as computed
     from modalcam.apps.material.page import show, write_csv
-    from modalcam.apps.material.run import request
+    from modalcam.apps.material.specimen import request
 
     if out is not None:
         check_new(out, force=force)

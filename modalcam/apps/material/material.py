@@ -15,8 +15,7 @@ import numpy as np
 
 from modal_id.modes import combine
 from modalcam.apps.material import equations
-from modalcam.apps.material.run import departures
-from modalcam.apps.material.specimen import LAYERED, BarMode, Quantity, Specimen
+from modalcam.apps.material.specimen import LAYERED, BarMode, Quantity, Specimen, departures
 from modalcam.common import InputError
 from sim.beam import BeamProperties
 from tracker import INTERVAL_ENDS, FloatArray

@@ -55,7 +55,7 @@ def compute(**given: Any) -> Material:
 
 
 def _inputs(_: Context, result: RunResult, __: object) -> Mapping[str, Any] | None:
-    from modalcam.apps.material.run import of_run  # noqa: PLC0415 - of a run that is not up to date
+    from modalcam.apps.material.specimen import of_run  # noqa: PLC0415 - of a run that is not up to date
 
     return of_run(result)
 

@@ -1,15 +1,21 @@
-"""A specimen: its kind, dimensions and modes, each value with its standard deviation."""
+"""A specimen: its kind, dimensions and modes, each value with its standard deviation, given or those of a run."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal, get_args
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
+from scipy.optimize import newton
 
+from modalcam.apps.deck import damping_of
 from modalcam.common import InputError, shown
+from modalcam.pipeline import RunResult, load_run
+from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
 from tracker import FloatArray, checked
 
 Kind = Literal["bar", "oberst", "modified-oberst", "sandwich", "free-free"]
@@ -130,3 +136,129 @@ class Specimen:
 
 def _options(names: Iterable[str]) -> str:
     return ", ".join("--" + name.replace("_", "-") for name in names)
+
+
+def modes_of(result: RunResult) -> tuple[tuple[BarMode, ...], tuple[str, ...]]:
+    """Modes of a run with a number and no flag of a wrong value, and sentences on those left out.
+
+    Frequencies are those at small amplitude, damping ratios those at the amplitudes of the recordings; both combined
+    over the recordings. InputError without such a mode.
+    """
+    found = damping_of(result)
+    modes = []
+    for one in found.modes:
+        ratio = Quantity(one.damping_ratio, one.damping_ratio_sd) if one.damping_ratio > 0.0 else None
+        modes.append(BarMode(one.number, Quantity(one.frequency_hz, one.frequency_sd_hz), ratio, one.remarks))
+    return tuple(modes), tuple(f"Left out: {one}." for one in found.left_out)
+
+
+def sizes_of(result: RunResult) -> dict[str, Quantity]:
+    """Length, width, thickness and density of ``[beam]`` of a run, each with its standard deviation where given."""
+    beam = tomllib.loads(result.resolved_config).get("beam", {})
+    names = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
+    return {n: Quantity(beam[n], beam.get(n.replace("_", "_sd_", 1), np.nan)) for n in names if n in beam}
+
+
+def of_run(result: RunResult) -> dict[str, Any] | None:
+    """Arguments of `material` for the beam of a run; None unless a cantilever of one section has numbered modes."""
+    if result.beam is None or not (result.beam.standard.cantilever and result.beam.standard.one_section):
+        return None
+    try:
+        modes, notes = modes_of(result)
+    except InputError:
+        return None
+    beam, specimen = result.beam.standard, Specimen("bar", **sizes_of(result))
+    return {"specimen": specimen, "modes": modes, "beam": beam, "notes": notes, "seed": result.seed}
+
+
+_Modes = tuple[Path | None, Sequence[str]]
+
+
+def request(
+    kind: str, sizes: Mapping[str, str | None], of: _Modes, bare: _Modes, plugins: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Arguments of `material` from the words of the command: values, and a run or modes of specimen and bare bar.
+
+    What is not given comes from ``[beam]`` of the bar's run. InputError if both or neither of a run and modes are
+    given, or something cannot be read.
+    """
+    read = {n: quantity(text, f"--{n.replace('_', '-')}") for n, text in sizes.items() if text is not None}
+    result, modes, notes = _modes(of, "OUT", "--mode", plugins)
+    bar, base = result, tuple[BarMode, ...]()
+    if kind in LAYERED:
+        bar, base, more = _modes(bare, "--base", "--base-mode", plugins)
+        notes = (*notes, *more)
+    elif any(bare):
+        msg = f"--base and --base-mode: expected only with --specimen {', '.join(LAYERED)}; found {kind}"
+        raise InputError(msg)
+    beam = bar.beam.standard if bar and bar.beam else None
+    if beam and not beam.one_section:
+        msg = (
+            "[[beam.sections]]: the equations are those of one width and thickness; found changes of section"
+        )
+        raise InputError(msg)
+    if bar and beam:
+        sizes_of_run = sizes_of(bar)
+        if "mass_g" in read:
+            del sizes_of_run["density_kg_m3"]
+        read = sizes_of_run | read
+    return {
+        "specimen": Specimen(cast("Kind", kind), **read),
+        "modes": modes,
+        "base": base,
+        "beam": beam if kind == "bar" else None,
+        "notes": notes,
+    }
+
+
+def _modes(
+    given: _Modes, run: str, option: str, plugins: tuple[str, ...]
+) -> tuple[RunResult | None, tuple[BarMode, ...], tuple[str, ...]]:
+    folder, texts = given
+    if (folder is None) == (not texts):
+        state = "neither" if folder is None else "both"
+        msg = f"expected either {run}, a finished run, or {option}; found {state}"
+        raise InputError(msg)
+    if folder is None:
+        return None, tuple(mode(text, option) for text in texts), ()
+    result = load_run(folder, plugins)
+    return result, *modes_of(result)
+
+
+def departures(beam: BeamProperties, specimen: Specimen, moduli_pa: dict[int, float]) -> dict[int, float]:
+    """Relative error of the modulus of each mode by what the equations leave out: gravity, point masses, elastic clamp.
+
+    The beam with these has, at the modulus sought, the frequency that one without them has at the modulus found; both
+    are computed on one mesh with the dimensions of the specimen. NaN for a standing beam that would buckle; nothing of
+    modes that the mesh does not have.
+    """
+    sizes = {name: value.value for name, value in specimen.given().items()}
+    bare = BeamProperties.uniform(
+        length_m=1e-3 * sizes["length_mm"],
+        width_m=1e-3 * sizes["width_mm"],
+        thickness_m=1e-3 * sizes["thickness_mm"],
+        density_kg_m3=sizes["density_kg_m3"],
+        elastic_modulus_pa=1.0,
+        orientation="none",
+        elements=beam.elements,
+    )
+    names = ("orientation", "point_masses", "gravity_m_s2", "angle_deg", "clamp", "ends", "tension_n")
+    full = replace(bare, **{name: getattr(beam, name) for name in names})
+    of_mesh = {n: e for n, e in moduli_pa.items() if n <= 2 * beam.elements}
+    slope = beam_modes(AncfBeam(bare), max(of_mesh, default=1)).omega_rad_s ** 2
+    return {n: _departure(full, n, e, float(slope[n - 1])) for n, e in of_mesh.items()}
+
+
+def _departure(beam: BeamProperties, number: int, modulus_pa: float, slope: float) -> float:
+    """Of one mode; `slope` is the squared frequency of the beam without bodies at 1 Pa."""
+
+    def excess(e: float) -> float:
+        modes = beam_modes(AncfBeam(replace(beam, elastic_modulus_pa=e)), number)
+        return float(modes.omega_rad_s[number - 1]) ** 2 / slope - modulus_pa
+
+    try:
+        # Affine in the modulus but for the shape's dependence on it: three steps of the secant.
+        found = newton(excess, modulus_pa, x1=1.01 * modulus_pa, rtol=1e-9)
+    except (BuckledBeamError, NoEquilibriumError, RuntimeError):
+        return float("nan")
+    return modulus_pa / float(found) - 1.0

@@ -35,8 +35,14 @@ def markers(
     force: Replace = False,
 ) -> None:
     """Write markers or a calibration board to print at true scale."""
-    from modalcam.apps.targets.calibrate import board_page, parse_squares
-    from modalcam.apps.targets.targets import aruco_pages, dot_pages, parse_ids, save_pages
+    from modalcam.apps.targets.targets import (
+        aruco_pages,
+        board_page,
+        dot_pages,
+        parse_ids,
+        parse_squares,
+        save_pages,
+    )
     from tracker.geometry import Board
 
     check_new(out, force=force)
@@ -63,7 +69,7 @@ def calibrate(
     """Determine the lens distortion from images of a board."""
     from functools import partial
 
-    from modalcam.apps.targets.calibrate import calibrate_folder, lines, parse_squares, write_lens
+    from modalcam.apps.targets.targets import calibrate_folder, lines, parse_squares, write_lens
     from modalcam.common import InputError
     from modalcam.pipeline import TaskFailure, worker_pool
     from tracker.geometry import Board

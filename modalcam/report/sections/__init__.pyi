@@ -4,6 +4,8 @@ from .alerts import TUNING as TUNING
 from .alerts import alerts as alerts
 from .alerts import flag_meanings as flag_meanings
 from .comparison import findings as findings
+from .comparison import updating_numbers as updating_numbers
+from .comparison import updating_rows as updating_rows
 from .comparison import worst_ratios as worst_ratios
 from .recording import AMPLITUDE as AMPLITUDE
 from .recording import LENGTH as LENGTH
@@ -18,5 +20,3 @@ from .section import SECTIONS as SECTIONS
 from .section import Section as Section
 from .section import added_sections as added_sections
 from .section import register_section as register_section
-from .updating import updating_numbers as updating_numbers
-from .updating import updating_rows as updating_rows

@@ -8,10 +8,9 @@ from pathlib import Path
 from nicegui import background_tasks, ui
 
 from modalcam.apps.studio.session import Studio
-from modalcam.apps.studio.views.beam import BeamView
 from modalcam.apps.studio.views.decay import DecayView
 from modalcam.apps.studio.views.frame import FrameView
-from modalcam.apps.studio.views.recordings import RecordingsView
+from modalcam.apps.studio.views.recordings import BeamView, RecordingsView
 from modalcam.apps.studio.views.run import RunView, TrialView
 from modalcam.apps.studio.views.shared import PageState, SaveBar, SaveDialog, WhereBar
 from modalcam.common import shown
