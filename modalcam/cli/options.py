@@ -73,10 +73,7 @@ class Command(TyperCommand):
 CONFIG_HELP = "config:"
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
-NamedOut = Annotated[
-    Path | None,
-    typer.Option("-o", "--out", help="Results; default: folder NAME-results."),
-]
+NamedOut = Annotated[Path | None, typer.Option("-o", "--out", help="Results; default: folder NAME-results.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of all random numbers.")]
 Jobs = Annotated[
     int | None,
@@ -89,14 +86,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Only failures and warnings.")]
 ProgressFormat = Literal["text", "json"]
-ToldProgress = Annotated[
-    ProgressFormat,
-    typer.Option("--progress", help="Format on standard error."),
-]
-Strict = Annotated[
-    bool,
-    typer.Option("--strict", help="Exit with 4 also where a value may be wrong."),
-]
+ToldProgress = Annotated[ProgressFormat, typer.Option("--progress", help="Format on standard error.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 4 also where a value may be wrong.")]
 Force = Annotated[bool, typer.Option("--force", help="Recompute everything.")]
 Replace = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
 Fps = Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")]
@@ -115,19 +106,14 @@ _MEMORY = typer.Option(
     help="Memory of a worker process; default: the machine's memory.",
 )
 _PLUGIN = typer.Option(
-    "--plugin",
-    metavar="MODULE",
-    help="Python module that extends modalcam; may be repeated.",
+    "--plugin", metavar="MODULE", help="Python module that extends modalcam; may be repeated."
 )
 
 _INCLUDE = typer.Option(
     "--include", metavar="PATTERN", help="Only recordings such as mode?.avi; may be repeated."
 )
 _EXCLUDE = typer.Option("--exclude", metavar="PATTERN", help="All recordings but these; may be repeated.")
-_PLOTS = typer.Option(
-    "--plots",
-    help="Whether figures zoom; default: up to 12 recordings.",
-)
+_PLOTS = typer.Option("--plots", help="Whether figures zoom; default: up to 12 recordings.")
 
 # Common options by the name of their parameter: type and default.
 COMMON: dict[str, tuple[Any, Any]] = {

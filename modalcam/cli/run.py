@@ -95,8 +95,7 @@ def track(
     common: dict[str, Any],
     out: NamedOut = None,
     preview: Annotated[
-        Path | None,
-        typer.Option("--preview", help="Also write a video of FILE with the tracks drawn in."),
+        Path | None, typer.Option("--preview", help="Also write a video of FILE with the tracks drawn in.")
     ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -123,8 +122,7 @@ def track(
 @takes("config", "seed", "force", "plugins")
 def identify(
     file: Annotated[
-        Path,
-        typer.Argument(help="Tracks file, .uff, or table (.csv .xlsx .npy .mat .lvm .tdms .h5 .nc)."),
+        Path, typer.Argument(help="Tracks file, .uff, or table (.csv .xlsx .npy .mat .lvm .tdms .h5 .nc).")
     ],
     common: dict[str, Any],
     out: NamedOut = None,
@@ -152,21 +150,15 @@ def identify(
         ),
     ] = None,
     known_input: Annotated[
-        str | None,
-        typer.Option("--input", metavar="COLUMN", help="Channel of the base motion or force."),
+        str | None, typer.Option("--input", metavar="COLUMN", help="Channel of the base motion or force.")
     ] = None,
     input_file: Annotated[
-        Path | None,
-        typer.Option("--input-file", metavar="FILE", help="Another table that holds the input."),
+        Path | None, typer.Option("--input-file", metavar="FILE", help="Another table that holds the input.")
     ] = None,
     output_only: Annotated[bool, typer.Option("--output-only", help="Ignore the input.")] = False,
-    input_unit: Annotated[
-        str | None,
-        typer.Option("--input-unit", help="Unit of a force as input."),
-    ] = None,
+    input_unit: Annotated[str | None, typer.Option("--input-unit", help="Unit of a force as input.")] = None,
     input_lag: Annotated[
-        str | None,
-        typer.Option("--input-lag-ms", metavar="MS", help="By which the input is late, or auto."),
+        str | None, typer.Option("--input-lag-ms", metavar="MS", help="By which the input is late, or auto.")
     ] = None,
     json_: Json = False,
     verbose: Verbose = 0,

@@ -99,9 +99,7 @@ class BeamConfig(Options):
         default=None, description="Young's modulus.", examples=[210000.0]
     )
     material: Material | None = Field(
-        default=None,
-        description="Its thermal properties give the thermoelastic damping.",
-        examples=["steel"],
+        default=None, description="Its thermal properties give the thermoelastic damping.", examples=["steel"]
     )
     orientation: Literal["hanging", "standing", "horizontal", "angled", "none"] = Field(
         default="hanging",

@@ -23,16 +23,7 @@ from modal_id import IdentifyOptions
 from modalcam.common import ConfigError
 from modalcam.config.beam import BeamConfig, position_problem
 from sim.damping import selectable_damping_models
-from tracker import (
-    CameraOptions,
-    Finite,
-    MarkerOptions,
-    NonNegative,
-    Options,
-    Point,
-    Positive,
-    problems,
-)
+from tracker import CameraOptions, Finite, MarkerOptions, NonNegative, Options, Point, Positive, problems
 
 
 def _file_name(value: object) -> str:

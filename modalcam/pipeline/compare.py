@@ -17,14 +17,7 @@ from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import AddedStage, Context, Stage, UpdatedBeam, added_stages, each_together
 from modalcam.plugins import OUR_PACKAGES
 from sim.beam import BeamProperties
-from sim.comparison import (
-    AirDrag,
-    DecayComparison,
-    ModelDecay,
-    ScoreSum,
-    bands,
-    compare_decay,
-)
+from sim.comparison import AirDrag, DecayComparison, ModelDecay, ScoreSum, bands, compare_decay
 from sim.damping import MeasuredDamping, beam_section, skipped_damping_models
 from tracker import Failure
 

@@ -25,11 +25,7 @@ if TYPE_CHECKING:
     from tracker import DisplacementSeries, FailedTracking, Failure, MarkerTracks
 
 # Name of the file of each stage of the core and the field of a recording that its result fills.
-STAGE_FIELDS = {
-    "tracks": "tracks",
-    "modes": "identification",
-    "comparison": "comparison",
-}
+STAGE_FIELDS = {"tracks": "tracks", "modes": "identification", "comparison": "comparison"}
 # Name of the saved results of a run as a whole; names of recordings never begin with a dot.
 RUN = ".beam"
 

@@ -34,14 +34,7 @@ def not_tracked(file: str, reason: str) -> FailedTracking:
     return FailedTracking(reason, file)
 
 
-TRACKING = Stage(
-    "tracking",
-    "tracks",
-    ("tracker",),
-    track_recording,
-    not_tracked,
-    counts_frames=True,
-)
+TRACKING = Stage("tracking", "tracks", ("tracker",), track_recording, not_tracked, counts_frames=True)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:

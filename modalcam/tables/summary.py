@@ -173,8 +173,7 @@ def _updating(updated: Updating) -> dict[str, Any]:
             "frequency_interval_90_hz": posterior.frequency_interval_hz(),
             "prediction_interval_90_hz": np.quantile(updated.predicted_hz, INTERVAL_ENDS, axis=0).T,
             **_fields(
-                posterior,
-                "prior variance_ratio information determined undetermined effective_draws seed",
+                posterior, "prior variance_ratio information determined undetermined effective_draws seed"
             ),
         },
         "point_mass": updated.point_mass

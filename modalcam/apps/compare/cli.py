@@ -21,8 +21,7 @@ def compare(
         typer.Option("-o", "--out", help="Folder for compare.html, compare.csv and compare.json."),
     ] = None,
     same_camera: Annotated[
-        bool,
-        typer.Option("--same-camera", help="The error of the frame rate is the same in all runs."),
+        bool, typer.Option("--same-camera", help="The error of the frame rate is the same in all runs.")
     ] = False,
     small_amplitude: Annotated[
         bool,

@@ -13,14 +13,7 @@ from modalcam.pipeline import TaskFailure, code_state, load, save, stage_key, wo
 from sim import reference as printed
 from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import RayleighDamping
-from sim.updating import (
-    MeasuredModes,
-    PaperUpdate,
-    Updating,
-    UpdatingSettings,
-    update,
-    update_like_paper,
-)
+from sim.updating import MeasuredModes, PaperUpdate, Updating, UpdatingSettings, update, update_like_paper
 from tracker import Failure, FloatArray
 
 # Handbook value for carbon steel: reproduces the printed frequencies, unlike the printed 8000.

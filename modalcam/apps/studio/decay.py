@@ -400,13 +400,7 @@ def _expected(
     sd = np.broadcast_to(_typical_sd(series), motion.shape)
     noise = np.random.default_rng(0).normal(size=motion.shape)
     decay = replace(
-        series,
-        time_s=time_s,
-        values=motion + sd * noise,
-        sd=sd,
-        base=None,
-        base_sd=None,
-        scale_change=None,
+        series, time_s=time_s, values=motion + sd * noise, sd=sd, base=None, base_sd=None, scale_change=None
     )
     settings = IdentifySettings(target_frequency_hz=frequency_hz, max_modes=1)
     found = identify_free_decay(decay, settings)

@@ -27,9 +27,7 @@ from tracker import (
     TrackerSettings,
     track_source,
 )
-from tracker import (
-    TUNING as TRACKING,
-)
+from tracker import TUNING as TRACKING
 from tracker.line import find_line
 from tracker.markers import NothingFound, detect_markers, filled, kind_of, propose_points
 from tracker.video import Frame, FrameSource, SourceInfo, UnreadableVideoError, open_recording

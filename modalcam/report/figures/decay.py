@@ -128,10 +128,7 @@ def _draw_close_up(figure: Figure, shown: Target) -> bool:
     if np.count_nonzero(found.used[:, channel]) < 2:
         return False
     span = _CYCLES / mode.frequency_hz
-    panels = (
-        (found.onset.fit_from_s, "At the start of the fit"),
-        (_late(shown, span), "Late in the decay"),
-    )
+    panels = ((found.onset.fit_from_s, "At the start of the fit"), (_late(shown, span), "Late in the decay"))
     for axes, (begin, title) in zip(figure.subplots(1, 2), panels, strict=True):
         _cycles(axes, shown, begin, span)
         few_ticks(axes, x=5)

@@ -208,10 +208,7 @@ def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> 
     effect = None
     if mode is not None:
         changed = line_effect(view["found"], mode, hz)
-        effect = (
-            changed.frequency_hz / mode.frequency_sd_hz,
-            changed.damping_ratio / mode.damping_ratio_sd,
-        )
+        effect = (changed.frequency_hz / mode.frequency_sd_hz, changed.damping_ratio / mode.damping_ratio_sd)
     return _Line(f"{significant(hz)} Hz", f"near {near}" if close else "", effect)
 
 
