@@ -14,7 +14,7 @@ from modalcam.config import AirConfig
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.identify import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
-from modalcam.pipeline.stage import AddedStage, Context, Stage, UpdatedBeam, added_stages, each_together
+from modalcam.pipeline.stage import Context, Stage, UpdatedBeam, added_stages, each_together
 from modalcam.plugins import OUR_PACKAGES
 from sim.beam import BeamProperties
 from sim.comparison import AirDrag, DecayComparison, ModelDecay, ScoreSum, bands, compare_decay
@@ -93,7 +93,8 @@ def compare_recordings(
         return {"identification": found, **common} if is_decay else None
 
     skipped = skipped_damping_models(context.config.damping.models, measured)
-    parts = [(one.stage, partial(_inputs, one, context, UpdatedBeam(properties, measured))) for one in added]
+    updated = UpdatedBeam(properties, measured)
+    parts = [(one.stage, lambda r, inputs=one.inputs: inputs(context, r, updated)) for one in added]
     found = each_together(context, recordings, (COMPARING, compared), *parts)
     dropped = {one.stage.file for one in added}
     for recording in found:
@@ -106,12 +107,6 @@ def compare_recordings(
         else replace(r, added={file: value for file, value in r.added.items() if file not in dropped})
         for r in found
     ], skipped
-
-
-def _inputs(
-    added: AddedStage, context: Context, beam: UpdatedBeam, recording: RecordingResult
-) -> Mapping[str, Any] | None:
-    return added.inputs(context, recording, beam)
 
 
 @dataclass(frozen=True)

@@ -158,8 +158,8 @@ class Workspace:
         data = self.read_state()
         try:
             sources = tuple(Source(**source) for source in data["sources"])
-            _check_text(*(text for s in sources for text in (s.name, s.file, s.sha256, s.failure)))
-            _check_number(data["seed"], *(s.mode for s in sources if s.mode is not None))
+            _check(str, *(text for s in sources for text in (s.name, s.file, s.sha256, s.failure)))
+            _check(int, data["seed"], *(s.mode for s in sources if s.mode is not None))
             data["config"] = parse_config(data["config"], where=str(self._record))
             return RunRecord(**data | {"sources": sources})
         except (ValueError, KeyError, TypeError) as error:
@@ -173,10 +173,10 @@ class Workspace:
                 data[name] = tuple(data[name])
             data["versions"] = tuple((name, version) for name, version in data["versions"])
             record = RunRecord(**data)
-            _check_text(record.folder, record.command_line, record.key, *record.notes, *record.skipped)
-            _check_text(*(text for pair in record.versions for text in pair))
-            _check_text(
-                *(text for files in record.results.values() for pair in files.items() for text in pair)
+            _check(str, record.folder, record.command_line, record.key, *record.notes, *record.skipped)
+            _check(str, *(text for pair in record.versions for text in pair))
+            _check(
+                str, *(text for files in record.results.values() for pair in files.items() for text in pair)
             )
             return vars(record)
         except FileNotFoundError:
@@ -204,15 +204,9 @@ class Workspace:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")
 
 
-def _check_text(*values: object) -> None:
-    if not all(isinstance(value, str) for value in values):
-        msg = "expected text"
-        raise TypeError(msg)
-
-
-def _check_number(*values: object) -> None:
-    if not all(isinstance(value, int) for value in values):
-        msg = "expected whole numbers"
+def _check(kind: type, *values: object) -> None:
+    if not all(isinstance(value, kind) for value in values):
+        msg = f"expected {'text' if kind is str else 'whole numbers'}"
         raise TypeError(msg)
 
 

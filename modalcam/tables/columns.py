@@ -22,11 +22,14 @@ from tracker import CORRELATION_COLUMN, TRACK_COLUMNS, Column
 _NAMED = {one.name: one for one in (*COMPARISON_COLUMNS, *DAMPING)}
 _MODE = _NAMED["mode"]
 _RECORDING = Column("recording", "", "name of the recording")
-# Of a `ShapePoint`.
-SHAPE_COLUMNS = (
+_OF_MODE = (
     _RECORDING,
     replace(_MODE, text="number of the beam's mode; empty where unknown", get=lambda at: at.mode.number),
     Column("frequency_hz", "Hz", "as in `modes.csv`", lambda at: at.mode.frequency_hz),
+)
+# Of a `ShapePoint`.
+SHAPE_COLUMNS = (
+    *_OF_MODE,
     Column("marker", "", "name of the marker"),
     Column("position_mm", "mm", "distance from the clamp"),
     Column("shape", "1", "in-phase part of the shape, whose largest modulus is 1", lambda at: at.shape.real),
@@ -37,9 +40,7 @@ SHAPE_COLUMNS = (
 )
 # Of a `Participation`.
 PARTICIPATION_COLUMNS = (
-    _RECORDING,
-    replace(_MODE, text="number of the beam's mode; empty where unknown", get=lambda at: at.mode.number),
-    Column("frequency_hz", "Hz", "as in `modes.csv`", lambda at: at.mode.frequency_hz),
+    *_OF_MODE,
     Column("channel", "", "name of the output"),
     Column(
         "participation",

@@ -487,10 +487,10 @@ def _figure(index: int, mode: ModeInRuns) -> FigureView:
 
 def _draw(axes: Axes, quantity: Quantity) -> None:
     name, unit, scale = _NAMES[quantity.name]
-    mean, reach = quantity.combined.value, 1.645 * quantity.combined.sd
+    mean, reach = quantity.combined.value, INTERVAL_SD * quantity.combined.sd
     axes.axvspan(scale * (mean - reach), scale * (mean + reach), color=ALERT, alpha=0.15, linewidth=0)
     for k, run in enumerate(quantity.runs):
-        ends = [scale * (run.value + sign * 1.645 * run.sd) for sign in (-1.0, 1.0)]
+        ends = [scale * (run.value + sign * INTERVAL_SD * run.sd) for sign in (-1.0, 1.0)]
         axes.plot(ends, [k, k], color=MEASURED, linewidth=1.5)
         axes.plot([scale * run.value], [k], "o", color=MEASURED, markersize=5)
     few_ticks(axes, x=5)

@@ -15,7 +15,7 @@ from modalcam.config import BeamConfig, ExperimentConfig, PlanConfig, RecordingC
 from sim import MEASURED_DAMPING_RATIO
 from sim.beam import BeamProperties
 from sim.render import Camera, Marker
-from tracker import Failure, FloatArray, data_frame
+from tracker import INTERVAL_SD, Failure, FloatArray, data_frame
 from tracker.markers import AUTO_KIND, kind_of
 
 if TYPE_CHECKING:
@@ -252,10 +252,6 @@ def _for_each_mode(key: str, values: tuple[float, ...] | None, modes: list[int])
     return values
 
 
-# Quantile of the normal distribution: half the width of a 90 % interval in standard deviations.
-NINETY = 1.645
-
-
 @dataclass(frozen=True)
 class Limit:
     """A cause of uncertainty, the factor by which it increases the standard deviation of damping, and a remedy."""
@@ -405,7 +401,7 @@ class Plan:
             ax = plt.figure().subplots()
         frequency = [m.frequency_hz for m in self.modes]
         damping = [100.0 * m.damping_ratio for m in self.modes]
-        half = [100.0 * NINETY * m.damping_sd for m in self.modes]
+        half = [100.0 * INTERVAL_SD * m.damping_sd for m in self.modes]
         ax.errorbar(frequency, damping, half, fmt="o", capsize=3.0)
         ax.set_xlabel("natural frequency (Hz)")
         ax.set_ylabel("damping ratio (%), predicted 90 % interval")

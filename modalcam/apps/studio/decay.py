@@ -27,6 +27,7 @@ from modalcam.config import RecordingConfig
 from modalcam.pipeline import Workspace, load_recording
 from modalcam.report import residual, stability_of
 from tracker import (
+    INTERVAL_SD,
     BoolArray,
     ComplexArray,
     DisplacementSeries,
@@ -226,7 +227,7 @@ def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
 def _drive_probability(mode: FoundMode, length_s: float) -> float:
     radians = 2.0 * np.pi * mode.frequency_hz * length_s
     # the sd of a normal density with this 90 % interval
-    sd = (mode.interval[1] - mode.interval[0]) / (2.0 * 1.645)
+    sd = (mode.interval[1] - mode.interval[0]) / (2.0 * INTERVAL_SD)
     return drive_probability(mode.damping_ratio * radians, sd * radians, radians)
 
 

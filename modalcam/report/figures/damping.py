@@ -29,7 +29,7 @@ from modalcam.report.style import (
 )
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS, MeasuredDamping, rayleigh_to_all
-from tracker import FloatArray
+from tracker import INTERVAL_SD, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -332,7 +332,9 @@ def _windows(axes: Axes, amplitude: Any, value: Any, sd: Any, band: tuple[float,
 
 def _law(axes: Axes, axis: FloatArray, value: FloatArray, sd: FloatArray) -> None:
     axes.plot(axis, value, "--", color=ALERT, linewidth=1.2, label="fitted amplitude dependence, 90 %")
-    axes.fill_between(axis, value - 1.645 * sd, value + 1.645 * sd, color=ALERT, alpha=0.15, linewidth=0.0)
+    axes.fill_between(
+        axis, value - INTERVAL_SD * sd, value + INTERVAL_SD * sd, color=ALERT, alpha=0.15, linewidth=0.0
+    )
 
 
 INSTANTANEOUS = FigureKind("instantaneous", "recording", RecordingSubject.decaying, _draw_instantaneous)

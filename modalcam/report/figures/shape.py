@@ -13,7 +13,7 @@ from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style import FIT, INK, MUTED, RAYLEIGH, Style, few_ticks, figure_label, significant
 from sim.beam import BeamModes
 from sim.updating import Updating
-from tracker import FloatArray, MarkerTracks
+from tracker import INTERVAL_SD, FloatArray, MarkerTracks
 from tracker.markers import kind_of
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 # More points than this, the stations of a line, are drawn as a curve with its 90 % band.
 MOST_POINTS = 16
-_BAND_SD = 1.645
 
 
 class ShownShape(NamedTuple):
@@ -110,7 +109,7 @@ def _draw_field(axes: Axes, shown: ShownShape) -> None:
     at, real = shown.position_mm, shown.shape.real
     axes.plot(at, real, color=FIT, linewidth=1.4, label="measured")
     axes.fill_between(
-        at, real - _BAND_SD * shown.sd, real + _BAND_SD * shown.sd, color=FIT, alpha=0.3, linewidth=0.0
+        at, real - INTERVAL_SD * shown.sd, real + INTERVAL_SD * shown.sd, color=FIT, alpha=0.3, linewidth=0.0
     )
     axes.plot(at, shown.shape.imag, color=MUTED, linewidth=0.9, linestyle=":", label="out of phase")
 
@@ -121,7 +120,7 @@ def _draw_difference(axes: Axes, shown: ShownShape, curve: tuple[FloatArray, Flo
     left = shown.shape.real - np.interp(at, *curve)
     axes.axhline(0.0, color=INK, linewidth=1.1, linestyle="--")
     axes.plot(at, left, color=FIT, linewidth=1.0)
-    band = _BAND_SD * shown.sd
+    band = INTERVAL_SD * shown.sd
     axes.fill_between(at, left - band, left + band, color=FIT, alpha=0.3, linewidth=0.0, label="90 % band")
     few_ticks(axes, x=7)
     axes.set(ylabel="− theory")
@@ -207,9 +206,6 @@ def _map(axes: Axes, panel: _Panel, position_mm: FloatArray, largest: float) -> 
 WATERFALL = FigureKind("waterfall", "recording", _shows, _draw_waterfall, height_in=3.0)
 
 
-_Z_90 = 1.6449
-
-
 def _draw_fields(figure: Figure, shown: Updating) -> None:
     from modalcam.report.style import GridLayout  # noqa: PLC0415 - loads matplotlib
 
@@ -218,7 +214,7 @@ def _draw_fields(figure: Figure, shown: Updating) -> None:
     edges_mm = np.linspace(0.0, 1e3 * posterior.properties.length_m, ne + 1)
     bands = 100.0 * (posterior.factor_interval() - 1.0)
     median = 100.0 * (np.exp(np.median(posterior.log_factor_draws, axis=0)) - 1.0)
-    prior = 100.0 * _Z_90 * posterior.prior.sd
+    prior = 100.0 * INTERVAL_SD * posterior.prior.sd
     # Legends are placed next to the panels.
     figure.set_layout_engine(GridLayout(right=112.0))
     panels = figure.subplots(2, 1, sharex=True)
