@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 from modalcam.common import ExitCode, ModalcamError
-from modalcam.pace import rest_of_run_s
+from modalcam.pace import Pace, rest_of_run_s
 from tracker import Failure
 
 
@@ -168,9 +168,7 @@ class RunState:
             left = sum(n for name, n in self.frames.items() if name not in (*stage.computed, *stage.reused))
             left -= sum(stage.working.values())
             return max(left / rate - (now_s - stage.last_s), 0.0)
-        if not stage.computed:
-            return None
-        return (now_s - stage.started_s) / len(stage.computed) * (stage.total - stage.done)
+        return Pace(stage.started_s, stage.total, len(stage.computed), len(stage.reused)).left_s(now_s)
 
     def rest_of_run_s(self, now_s: float) -> float | None:
         """About the time until the run ends; None before there is a pace."""
