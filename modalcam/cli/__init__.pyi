@@ -8,6 +8,7 @@ from .options import NamedOut as NamedOut
 from .options import Out as Out
 from .options import Replace as Replace
 from .options import Seed as Seed
+from .options import ToFile as ToFile
 from .options import Verbose as Verbose
 from .options import compute as compute
 from .options import console as console

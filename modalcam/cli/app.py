@@ -18,6 +18,7 @@ from modalcam.cli.options import (
     Json,
     Links,
     Replace,
+    ToFile,
     console,
     register_command,
     results_console,
@@ -98,9 +99,7 @@ def _show(probes: tuple[Probe, ...]) -> None:
 
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder of recordings.")],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="File to write; default: standard output.")
-    ] = None,
+    out: ToFile = None,
     force: Replace = False,
 ) -> None:
     """Write a commented experiment.toml for a folder of recordings."""

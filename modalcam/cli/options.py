@@ -74,6 +74,7 @@ CONFIG_HELP = "config:"
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 NamedOut = Annotated[Path | None, typer.Option("-o", "--out", help="Results; default: folder NAME-results.")]
+ToFile = Annotated[Path | None, typer.Option("-o", "--out", help="File to write; default: standard output.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of all random numbers.")]
 Jobs = Annotated[
     int | None,

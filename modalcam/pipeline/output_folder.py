@@ -292,17 +292,14 @@ def changed_recordings(out: Path, folder: Path) -> tuple[int, list[str]]:
     for source in sources:
         path = folder / source.file
         try:
-            unchanged = _is_readable(path, source.file) and recording_sha256(path) == source.sha256
+            # A name that OUT gives may lead to any place.
+            readable = stays_below(source.file) and (path.is_file() or path.is_dir())
+            unchanged = readable and recording_sha256(path) == source.sha256
         except OSError:
             unchanged = False
         if not unchanged:
             changed.append(_sentence(path, source.file))
     return len(sources), changed
-
-
-def _is_readable(path: Path, name: str) -> bool:
-    """Whether a name that OUT gives is that of a file, or a folder of images, below the folder of the recordings."""
-    return stays_below(name) and (path.is_file() or path.is_dir())
 
 
 def _sentence(path: Path, name: str) -> str:

@@ -24,6 +24,7 @@ from scipy.special import ndtr
 from modal_id.modes import Combined, between_interval, combine
 from modalcam.common import InputError, csv_safe, for_terminal, natural_key, readable_bytes, real, shown
 from modalcam.pipeline import Workspace, write_json, write_text
+from modalcam.report.figures import BAND_SD
 from modalcam.report.style import (
     ALERT,
     MEASURED,
@@ -487,10 +488,10 @@ def _figure(index: int, mode: ModeInRuns) -> FigureView:
 
 def _draw(axes: Axes, quantity: Quantity) -> None:
     name, unit, scale = _NAMES[quantity.name]
-    mean, reach = quantity.combined.value, INTERVAL_SD * quantity.combined.sd
+    mean, reach = quantity.combined.value, BAND_SD * quantity.combined.sd
     axes.axvspan(scale * (mean - reach), scale * (mean + reach), color=ALERT, alpha=0.15, linewidth=0)
     for k, run in enumerate(quantity.runs):
-        ends = [scale * (run.value + sign * INTERVAL_SD * run.sd) for sign in (-1.0, 1.0)]
+        ends = [scale * (run.value + sign * BAND_SD * run.sd) for sign in (-1.0, 1.0)]
         axes.plot(ends, [k, k], color=MEASURED, linewidth=1.5)
         axes.plot([scale * run.value], [k], "o", color=MEASURED, markersize=5)
     few_ticks(axes, x=5)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli import Replace, register_command, takes
+from modalcam.cli import Replace, ToFile, register_command, takes
 from modalcam.common import check_new, shown
 
 
@@ -22,9 +22,7 @@ def deck(
         ),
     ],
     common: dict[str, Any],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="File to write; default: standard output.")
-    ] = None,
+    out: ToFile = None,
     force: Replace = False,
 ) -> None:
     """Print the damping as input of a simulation code."""

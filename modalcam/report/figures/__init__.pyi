@@ -1,5 +1,6 @@
 from . import base as base
 from . import registry as registry
+from .base import BAND_SD as BAND_SD
 from .base import FigureKind as FigureKind
 from .base import Place as Place
 from .base import RecordingSubject as RecordingSubject

@@ -27,6 +27,8 @@ from sim.beam import BeamModes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Half the width of a 90 % band in standard deviations: rounded, as the ids in the SVG depend on the last digit.
+BAND_SD = 1.645
 Shown = TypeVar("Shown")
 Place = Literal["recording", "tracking", "overview", "damping", "comparison", "updating"]
 

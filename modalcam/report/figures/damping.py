@@ -10,7 +10,7 @@ import numpy as np
 
 from modal_id import IdentifiedMode
 from modalcam.pipeline import BeamResult, RunResult
-from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.figures.base import BAND_SD, FigureKind, RecordingSubject, Target
 from modalcam.report.signals import instantaneous, shown_mode
 from modalcam.report.style import (
     ALERT,
@@ -29,7 +29,7 @@ from modalcam.report.style import (
 )
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS, MeasuredDamping, rayleigh_to_all
-from tracker import INTERVAL_SD, FloatArray
+from tracker import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -333,7 +333,7 @@ def _windows(axes: Axes, amplitude: Any, value: Any, sd: Any, band: tuple[float,
 def _law(axes: Axes, axis: FloatArray, value: FloatArray, sd: FloatArray) -> None:
     axes.plot(axis, value, "--", color=ALERT, linewidth=1.2, label="fitted amplitude dependence, 90 %")
     axes.fill_between(
-        axis, value - INTERVAL_SD * sd, value + INTERVAL_SD * sd, color=ALERT, alpha=0.15, linewidth=0.0
+        axis, value - BAND_SD * sd, value + BAND_SD * sd, color=ALERT, alpha=0.15, linewidth=0.0
     )
 
 

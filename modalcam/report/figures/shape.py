@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id import IdentifiedMode
 from modal_id.modes import Node, find_nodes, mac
-from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.figures.base import BAND_SD, FigureKind, RecordingSubject
 from modalcam.report.style import FIT, INK, MUTED, RAYLEIGH, Style, few_ticks, figure_label, significant
 from sim.beam import BeamModes
 from sim.updating import Updating
@@ -109,7 +109,7 @@ def _draw_field(axes: Axes, shown: ShownShape) -> None:
     at, real = shown.position_mm, shown.shape.real
     axes.plot(at, real, color=FIT, linewidth=1.4, label="measured")
     axes.fill_between(
-        at, real - INTERVAL_SD * shown.sd, real + INTERVAL_SD * shown.sd, color=FIT, alpha=0.3, linewidth=0.0
+        at, real - BAND_SD * shown.sd, real + BAND_SD * shown.sd, color=FIT, alpha=0.3, linewidth=0.0
     )
     axes.plot(at, shown.shape.imag, color=MUTED, linewidth=0.9, linestyle=":", label="out of phase")
 
@@ -120,7 +120,7 @@ def _draw_difference(axes: Axes, shown: ShownShape, curve: tuple[FloatArray, Flo
     left = shown.shape.real - np.interp(at, *curve)
     axes.axhline(0.0, color=INK, linewidth=1.1, linestyle="--")
     axes.plot(at, left, color=FIT, linewidth=1.0)
-    band = INTERVAL_SD * shown.sd
+    band = BAND_SD * shown.sd
     axes.fill_between(at, left - band, left + band, color=FIT, alpha=0.3, linewidth=0.0, label="90 % band")
     few_ticks(axes, x=7)
     axes.set(ylabel="− theory")
