@@ -13,7 +13,7 @@ from modalcam.report.figures.base import BAND_SD, FigureKind, RecordingSubject
 from modalcam.report.style import FIT, INK, MUTED, RAYLEIGH, Style, few_ticks, figure_label, significant
 from sim.beam import BeamModes
 from sim.updating import Updating
-from tracker import INTERVAL_SD, FloatArray, MarkerTracks
+from tracker import FloatArray, MarkerTracks
 from tracker.markers import kind_of
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ def _draw_fields(figure: Figure, shown: Updating) -> None:
     edges_mm = np.linspace(0.0, 1e3 * posterior.properties.length_m, ne + 1)
     bands = 100.0 * (posterior.factor_interval() - 1.0)
     median = 100.0 * (np.exp(np.median(posterior.log_factor_draws, axis=0)) - 1.0)
-    prior = 100.0 * INTERVAL_SD * posterior.prior.sd
+    prior = 100.0 * 1.6449 * posterior.prior.sd
     # Legends are placed next to the panels.
     figure.set_layout_engine(GridLayout(right=112.0))
     panels = figure.subplots(2, 1, sharex=True)
