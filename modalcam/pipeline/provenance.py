@@ -21,7 +21,6 @@ from modalcam.pipeline.cache import digest
 from modalcam.pipeline.pool import TaskFailure
 from modalcam.pipeline.results import RecordingResult
 from modalcam.plugins import loaded_plugins, source_sha256
-from tracker import FailedTracking
 
 if TYPE_CHECKING:
     from modalcam.pipeline.stage import Context
@@ -172,6 +171,8 @@ def hashed(
     Only recordings that are new or have changed are read, by worker processes; with `force` all of them. Until they
     have been read, this process takes steps of `meanwhile`.
     """
+    from tracker import FailedTracking  # noqa: PLC0415 - loads SciPy, which a run without changes does not
+
     remembered = RememberedHashes(context.workspace.hashes)
     paths = [r.path for r in recordings if r.path is not None and r.tracks is None]
     known = {} if context.force else {path: remembered.get(path) for path in paths}
