@@ -40,7 +40,7 @@ from benchmarks.known_input_scenes import (
 )
 from modal_id import Identification, IdentifiedMode, IdentifySettings, identify
 from modal_id.response import at_other_times
-from tracker import DisplacementSeries, KnownInput, MarkerTracks, TrackerSettings, displacement_series, track
+from tracker import DisplacementSeries, KnownInput, MarkerTracks, TrackerSettings, track
 
 #: Correlation of neighbouring noise values, noise of the input, whether its sd is stated.
 CONDITIONS = (
@@ -100,7 +100,7 @@ def measured(
     """Errors over standard deviations and over the bound of the modes found in one record, and its computing time."""
     one = record(kind, seed, input_noise_mm=input_noise_mm, correlation=correlation)
     known = KnownInput("base", one.base, "mm", sd=input_noise_mm if stated else float("nan"))
-    series = _series(one.time_s, one.values, known)
+    series = with_input(one.time_s, one.values, known)
     start = time.process_time()
     modes = _modes(series)
     cpu_s = time.process_time() - start
@@ -137,10 +137,12 @@ def late(kind: str, seed: int) -> dict[str, object]:
         at_frames = at_other_times(force.force_time_s, force.force, force.time_s)
         values = np.asarray(at_frames, dtype=np.float64)
         sd = FORCE_NOISE_N * np.sqrt(RATE_HZ / FORCE_RATE_HZ)
-        series = _series(force.time_s, force.values, KnownInput("force", values, "N", is_force=True, sd=sd))
+        series = with_input(
+            force.time_s, force.values, KnownInput("force", values, "N", is_force=True, sd=sd)
+        )
     else:
         one = record(kind, seed)
-        series = _series(
+        series = with_input(
             one.time_s, one.values, KnownInput("base", late_base(kind, seed, lag_s), "mm", sd=0.0)
         )
     start = time.process_time()
@@ -161,7 +163,7 @@ def late(kind: str, seed: int) -> dict[str, object]:
     }
 
 
-def _series(time_s: np.ndarray, values: np.ndarray, known: KnownInput) -> DisplacementSeries:
+def with_input(time_s: np.ndarray, values: np.ndarray, known: KnownInput) -> DisplacementSeries:
     return DisplacementSeries(
         name=known.name,
         time_s=time_s,

@@ -1,7 +1,7 @@
 """Every threshold of the packages: their page, and what changes when one is 0.7 or 1.4 times as large.
 
-``python -m benchmarks.tuning --page docs/tuning.md`` writes the page; ``--measure [--module sim.dynamics] --out
-benchmarks/tuning_effects.csv`` adds the effects that are missing in the table, each measured in a process of its own.
+``python -m benchmarks.tuning --page docs/tuning.md`` writes the page; `benchmarks/tuning_measured.py` adds the effects
+that are missing in its table.
 """
 
 from __future__ import annotations
@@ -12,12 +12,7 @@ import csv
 import dataclasses
 import importlib
 import json
-import os
 import re
-import subprocess
-import sys
-import tempfile
-import time
 from collections import Counter
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -44,7 +39,6 @@ COLUMNS = (
 )
 # changes of less are those of the last digits
 _SMALLEST = 1e-3
-_LONGEST_S = 900.0
 
 _HEAD = """# Thresholds
 
@@ -52,12 +46,12 @@ Each threshold of an algorithm stands in a `Tuning` dataclass of its module with
 (a derivation), *statistics* (an error rate), *measurement* (a benchmark or test), or *convention* (a choice). This
 page is made from them by `python -m benchmarks.tuning --page docs/tuning.md`.
 
-The last two columns hold what 0.7 and 1.4 times the value change in a short battery of records, films, simulations,
-updates and comparisons (`benchmarks/tuning_battery.py`; `python -m benchmarks.tuning --measure` adds what is
-missing): the largest change of a frequency (f) and of a damping ratio (ζ) in their standard deviations, of positions
-in px (rms), frames more or fewer, and parts that fail. *None* is the same to the last bit; *digits* changes nothing
-by a thousandth of its standard deviation. Counts change by one at least. The battery is too short to judge a
-threshold that rare recordings need.
+The last two columns hold what 0.7 and 1.4 times the value change in the fastest seven parts, of those that read it, of
+a battery of records, films, simulations, updates and comparisons (`benchmarks/tuning_battery.py`;
+`python -m benchmarks.tuning_measured` adds what is missing): the largest change of a frequency (f) and of a damping
+ratio (ζ) in their standard deviations, of positions in px (rms), frames more or fewer, and parts that fail. *None* is
+the same to the last bit; *digits* changes nothing by a thousandth of its standard deviation. Counts change by one at
+least. The battery is too short to judge a threshold that rare recordings need.
 """
 
 
@@ -127,7 +121,8 @@ def effects(path: Path) -> dict[tuple[str, str, float], dict[str, str]]:
         return {(row["module"], row["name"], float(row["factor"])): row for row in csv.DictReader(file)}
 
 
-def _effect(row: dict[str, str] | None, value: float) -> str:
+def effect(row: dict[str, str] | None, value: float) -> str:
+    """The effect in words; empty where it is not known for this value."""
     if row is None or float(row["value"]) != value:
         return ""
     if row["effect"] != "changed":
@@ -148,7 +143,7 @@ def page(measured: dict[tuple[str, str, float], dict[str, str]]) -> str:
     for module in modules():
         rows = []
         for c in constants(module):
-            found = [_effect(measured.get((module, c.name, factor)), c.value) for factor in FACTORS]
+            found = [effect(measured.get((module, c.name, factor)), c.value) for factor in FACTORS]
             sources[c.source] += 1
             known += all(found)
             cells = (f"`{c.name}`", f"{c.value:g}", c.unit, c.meaning, f"{c.source}: {c.why}", *found)
@@ -173,98 +168,6 @@ def _copied(module: str) -> frozenset[str]:
 def frozen(constant: Constant) -> bool:
     """Whether a compiled kernel holds the value: it is then copied at the module's level."""
     return constant.name in _copied(constant.module)
-
-
-def measure(out: Path, chosen: str) -> None:
-    """Add the effects that the table lacks for modules whose names begin with `chosen`."""
-    wanted = [
-        (c, f)
-        for module in modules()
-        if module.startswith(chosen)
-        for c in constants(module)
-        for f in FACTORS
-    ]
-    known = effects(out)
-    todo = [
-        (c, f)
-        for c, f in wanted
-        if (c.module, c.name, f) not in known or float(known[c.module, c.name, f]["value"]) != c.value
-    ]
-    unchanged: dict[str, dict[str, Any]] = {}
-    for k, (constant, factor) in enumerate(todo, 1):
-        start = time.perf_counter()
-        row = _measured(constant, factor, unchanged)
-        known[constant.module, constant.name, factor] = row
-        with out.open("w", encoding="utf-8", newline="") as file:
-            table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            table.writeheader()
-            table.writerows(known[key] for key in sorted(known))
-        what = f"{constant.module}.{constant.name} x {factor}: {_effect(row, constant.value)}"
-        print(f"{k}/{len(todo)} {what}, {time.perf_counter() - start:.0f} s", flush=True)
-
-
-def _measured(constant: Constant, factor: float, unchanged: dict[str, dict[str, Any]]) -> dict[str, str]:
-    from benchmarks.tuning_battery import Difference, Found, affected, difference  # noqa: PLC0415
-
-    total, text = Difference(0.0, 0.0, 0.0, 0, 0, identical=True), ""
-    for part in affected(constant.module):
-        if part not in unchanged:
-            found = _run(part, None, None)
-            if isinstance(found, str):
-                raise RuntimeError(found)
-            unchanged[part] = found
-        found = _run(part, constant, constant.changed(factor))
-        if isinstance(found, str):
-            text = found
-            break
-        total = total.with_worse(difference(Found(**unchanged[part]), Found(**found)))
-    values = {name: f"{value:.3g}" for name, value in asdict(total).items() if name in COLUMNS}
-    effect = text or ("none" if total.identical else "changed")
-    return {
-        "module": constant.module,
-        "name": constant.name,
-        "value": repr(constant.value),
-        "factor": str(factor),
-        **values,
-        "effect": effect,
-    }
-
-
-def _run(part: str, constant: Constant | None, value: float | None) -> dict[str, Any] | str:
-    """What a part finds in another process with one constant changed, or how that ended."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "found.json"
-        environment = os.environ | {"OMP_NUM_THREADS": "1"}
-        if constant is not None and frozen(constant):
-            environment["NUMBA_CACHE_DIR"] = folder
-        changed = [] if constant is None else [constant.module, constant.name, repr(value)]
-        command = [
-            sys.executable,
-            "-m",
-            "benchmarks.tuning",
-            "--part",
-            part,
-            "--out",
-            str(out),
-            "--changed",
-            *changed,
-        ]
-        try:
-            done = subprocess.run(  # noqa: S603 - this file
-                command,
-                cwd=ROOT,
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=_LONGEST_S,
-            )
-        except subprocess.TimeoutExpired:
-            return "does not end"
-        if done.returncode != 0:
-            return f"stops: {done.stderr.strip().splitlines()[-1].split(':')[0]}"
-        found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-        return found
 
 
 def change(module: str, name: str, value: float) -> None:
@@ -293,16 +196,12 @@ def main() -> None:
     """Run as a command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--page", type=Path)
-    parser.add_argument("--measure", action="store_true")
-    parser.add_argument("--module", default="")
     parser.add_argument("--out", type=Path, default=EFFECTS)
     parser.add_argument("--part", help=argparse.SUPPRESS)
     parser.add_argument("--changed", nargs="*", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.part:
         _part(given.part, given.changed or [], given.out)
-    if given.measure:
-        measure(given.out, given.module)
     if given.page:
         given.page.write_text(page(effects(given.out)), encoding="utf-8")
 

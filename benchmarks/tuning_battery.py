@@ -16,9 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.ambient_scenes import ambient_record
 from benchmarks.coverage_cases import make
 from benchmarks.film_scenes import Film
+from benchmarks.known_input import with_input
+from benchmarks.known_input_scenes import KINDS, record
 from benchmarks.line_scenes import LineScene
+from benchmarks.records import SETS
 from modal_id import (
     Identification,
     IdentifySettings,
@@ -51,7 +55,15 @@ from sim.render import (
     write_video,
 )
 from sim.updating import MeasuredModes, Updating, UpdatingSettings, update
-from tracker import DisplacementSeries, Failure, FloatArray, MarkerTracks, TrackerSettings, track
+from tracker import (
+    DisplacementSeries,
+    Failure,
+    FloatArray,
+    KnownInput,
+    MarkerTracks,
+    TrackerSettings,
+    track,
+)
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 # relative sd of a frequency and of a damping ratio where a simulation states none: typical of a recording
@@ -123,16 +135,16 @@ def series() -> Found:
     """Synthetic records identified: one clean, one with all disturbances, one short."""
     found = Found()
     for case, mode, seconds in (("white", 1, 6.0), ("all together", 2, 10.0), ("AR(1) 0.5", 0, 2.0)):
-        record = make(case, mode, seed=3)[0]
-        first = record.time_s < seconds
+        one = make(case, mode, seed=3)[0]
+        first = one.time_s < seconds
         short = DisplacementSeries(
             name=case,
-            time_s=record.time_s[first],
-            channels=record.channels,
-            values=record.values[first],
-            sd=record.sd[first],
-            unit=record.unit,
-            positions_mm=record.positions_mm,
+            time_s=one.time_s[first],
+            channels=one.channels,
+            values=one.values[first],
+            sd=one.sd[first],
+            unit=one.unit,
+            positions_mm=one.positions_mm,
         )
         _identified(found, identify(short, IdentifySettings(sampler=SamplerSettings(max_steps=400))))
     return found
@@ -398,7 +410,38 @@ def _filmed(found: Found, name: str, images: list[FloatArray], settings: Tracker
         _tracked(found, name, track(path, settings, recording=name))
 
 
+def _of_record(name: str, seed: int) -> Found:
+    """One of the random records."""
+    return _answered(SETS[name](seed).series, IdentifySettings())
+
+
+def _of_ambient(seed: int) -> Found:
+    """Two minutes under random forces."""
+    return _answered(ambient_record(seed, duration_s=120.0)[0], IdentifySettings(excitation="ambient"))
+
+
+def _of_input(kind: str, seed: int, noise_mm: float) -> Found:
+    """The response to a measured motion of the base."""
+    one = record(kind, seed, input_noise_mm=noise_mm)
+    known = KnownInput("base", one.base, "mm", sd=noise_mm or float("nan"))
+    return _answered(with_input(one.time_s, one.values, known), IdentifySettings())
+
+
+def _answered(given: DisplacementSeries, settings: IdentifySettings) -> Found:
+    found = Found()
+    _identified(found, identify(given, settings))
+    return found
+
+
+# of both sets: at rest, driven, plucked, held, with outliers, gaps and drift
+RECORDS: dict[str, Callable[[], Found]] = {
+    **{f"{name} {seed}": partial(_of_record, name, seed) for name in SETS for seed in range(24)},
+    **{f"ambient {seed}": partial(_of_ambient, seed) for seed in (0, 1, 3)},
+    **{f"input {kind}": partial(_of_input, kind, 1, 0.0) for kind in KINDS},
+    "input with noise": partial(_of_input, KINDS[0], 2, 0.02),
+}
 PARTS: dict[str, Callable[[], Found]] = {
+    **RECORDS,
     "films": films,
     "series": series,
     "simulations": simulations,
@@ -409,7 +452,7 @@ PARTS: dict[str, Callable[[], Found]] = {
 # parts that a constant of a folder can change, the most specific first
 AFFECTED = {
     "tracker": ("films",),
-    "modal_id": ("series",),
+    "modal_id": (*RECORDS, "series"),
     "sim.beam": ("simulations", "updates"),
     "sim.damping": ("simulations",),
     "sim.dynamics": ("simulations",),
