@@ -40,7 +40,7 @@ from benchmarks.known_input_scenes import (
 )
 from modal_id import Identification, IdentifiedMode, IdentifySettings, identify
 from modal_id.response import at_other_times
-from tracker import DisplacementSeries, KnownInput, MarkerTracks, TrackerSettings, track
+from tracker import DisplacementSeries, KnownInput, MarkerTracks, TrackerSettings, displacement_series, track
 
 #: Correlation of neighbouring noise values, noise of the input, whether its sd is stated.
 CONDITIONS = (
