@@ -10,16 +10,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.damping.caughey import CAUGHEY
-from sim.damping.constant import CONSTANT
 from sim.damping.entry import DampingModelEntry, MeasuredDamping
-from sim.damping.fractional import FRACTIONAL
+from sim.damping.law import ThroughAllModes
+from sim.damping.laws import (
+    CAUGHEY,
+    CONSTANT,
+    FRACTIONAL,
+    KELVIN_VOIGT,
+    MASS,
+    MASS_AND_STIFFNESS,
+    SUMS,
+    THERMOELASTIC,
+    VISCOUS_AIR,
+)
 from sim.damping.models import GenericDamping, RayleighDamping
-from sim.damping.proportional import KELVIN_VOIGT, MASS
-from sim.damping.sums import MASS_AND_STIFFNESS, SUMS
-from sim.damping.thermoelastic import THERMOELASTIC
-from sim.damping.through_all import ThroughAllModes
-from sim.damping.viscous_air import VISCOUS_AIR
 from tracker import FloatArray
 
 DAMPING_MODELS: dict[str, DampingModelEntry] = {}
