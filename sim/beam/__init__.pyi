@@ -25,8 +25,8 @@ from .properties import ElasticClamp as ElasticClamp
 from .properties import End as End
 from .properties import Orientation as Orientation
 from .properties import PointMass as PointMass
+from .properties import unit_problems as unit_problems
 from .statics import BuckledBeamError as BuckledBeamError
 from .statics import NoEquilibriumError as NoEquilibriumError
 from .statics import static_equilibrium as static_equilibrium
 from .statics import stiffness as stiffness
-from .units import unit_problems as unit_problems

@@ -18,9 +18,9 @@ from sim.beam.properties import (
     End,
     Orientation,
     PointMass,
+    unit_problems,
 )
 from sim.beam.statics import static_equilibrium
-from sim.beam.units import unit_problems
 from tracker import FloatArray, checked, data_frame
 
 if TYPE_CHECKING:

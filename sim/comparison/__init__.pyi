@@ -11,8 +11,8 @@ from .drag import AirDrag as AirDrag
 from .drag import DragFit as DragFit
 from .drag import DragLimit as DragLimit
 from .drag import averaged_damping_slope as averaged_damping_slope
-from .matching import match_modes as match_modes
 from .problem import decay_setting as decay_setting
+from .problem import match_modes as match_modes
 from .results import COMPARISON_COLUMNS as COMPARISON_COLUMNS
 from .results import DecayComparison as DecayComparison
 from .results import ModelDecay as ModelDecay

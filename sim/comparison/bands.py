@@ -11,8 +11,7 @@ from scipy.special import stdtrit
 
 from modal_id import Identification
 from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError, beam_modes
-from sim.comparison.matching import match_modes
-from sim.comparison.problem import DecaySetting
+from sim.comparison.problem import DecaySetting, match_modes
 from sim.damping import DampingModel
 from sim.dynamics import FailedSimulation, State
 from tracker import INTERVAL_SD, Failure, FloatArray

@@ -18,9 +18,14 @@ from modal_id import DisplacementSeries, FittedMode, Identification, IdentifiedM
 from sim.beam import AncfBeam, BeamProperties, BuckledBeamError, NoEquilibriumError
 from sim.comparison.bands import Candidate, Simulated, shape_sd, simulate_candidates, start_draws
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
-from sim.comparison.matching import TUNING as MATCHING
-from sim.comparison.matching import envelope_and_phase_error, match_modes
-from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
+from sim.comparison.problem import TUNING as MATCHING
+from sim.comparison.problem import (
+    DecaySetting,
+    decay_setting,
+    envelope_and_phase_error,
+    match_modes,
+    with_corrected_start,
+)
 from sim.comparison.results import DecayComparison, ModelDecay
 from sim.comparison.scores import (
     Prediction,

@@ -5,7 +5,7 @@ One step solves, with u = q1 - q0, v1 = 2 u / h - v0,
 .. math::  M (v_1 - v_0)/h + C u/h + f(q_0, q_1) = F - M r \ddot b ,
 
 where f uses the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping the
-energy is constant to round-off at any amplitude. The low-rank terms of `sim.dynamics.modal_terms` remove the period
+energy is constant to round-off at any amplitude. The low-rank `modal_terms` remove the period
 error of the midpoint rule, 0.7 % for the paper's fifth mode at 0.5 ms.
 
 References
@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.beam import AncfBeam, BeamModes, beam_modes, decoupled, diagonals, lower_columns, shape_functions
 from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.dynamics.forces import Air, Axial
 from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
-from sim.dynamics.modal_terms import ModalTerms, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
-from tracker import Failure, FloatArray, checked, data_frame
+from tracker import ComplexArray, Failure, FloatArray, checked, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -156,7 +156,7 @@ class FailedSimulation(Failure):
 
 @dataclass(frozen=True)
 class Tuning:
-    """Steps of a simulation and the accuracy to which they are solved."""
+    """Steps of a simulation, the accuracy to which they are solved, and the modes that are corrected."""
 
     #: [s] longest time step where the caller names none
     #: measurement: docs/studies/verification.md: the tip changes by 4e-8 of the amplitude from 1 to 0.5 ms; frequencies
@@ -180,9 +180,103 @@ class Tuning:
     #: [1] Gauss points of an element for the drag, whose |v| v is no polynomial
     #: convention: Chosen; exact for the drag of a rigid rotation, whose v^2 is quadratic along the beam.
     drag_points: int = 3
+    #: [rad] omega h of a step above which a mode is not corrected
+    #: physics: The midpoint rule is off by (omega h)^2 / 12 = 12 % there, and higher modes are not resolved.
+    largest_corrected_phase: float = 1.2
+    #: [1] share of a modal term in the mass part of the tangent below which it is omitted there
+    #: physics: An iteration with an approximate tangent converges by about this factor; the solution does not depend on
+    #: it.
+    smallest_share: float = 0.01
 
 
 TUNING = Tuning()
+
+
+@dataclass(frozen=True)
+class ModalTerms:
+    """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
+
+    rows: FloatArray
+    mass: FloatArray
+    damping: FloatArray
+    base_force: FloatArray
+    phi: FloatArray
+    equilibrium: FloatArray
+    exponent: ComplexArray
+    discrete: ComplexArray
+
+    def discrete_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Velocity of the scheme that corresponds to the true velocity `v`.
+
+        For a mode, the former is s^ times its displacement, the latter s times.
+        """
+        return v + self.phi @ (self._exchanged(q, v, self.exponent, self.discrete) - self.rows @ v)
+
+    def true_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Inverse of `discrete_velocity`."""
+        return v + self.phi @ (self._exchanged(q, v, self.discrete, self.exponent) - self.rows @ v)
+
+    def _exchanged(
+        self, q: FloatArray, v: FloatArray, given: ComplexArray, wanted: ComplexArray
+    ) -> FloatArray:
+        """Modal velocities Re(wanted c) of the motion with displacement Re(c) and velocity Re(given c)."""
+        displacement, velocity = self.rows @ (q - self.equilibrium), self.rows @ v
+        imaginary = (given.real * displacement - velocity) / given.imag
+        return np.asarray(wanted.real * displacement - wanted.imag * imaginary)
+
+
+def modal_terms(
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    target_omega_rad_s: FloatArray | None,
+) -> ModalTerms:
+    r"""Low-rank terms that make a time step exact for the lowest modes, at each step size.
+
+    With s = -zeta omega + i omega sqrt(1 - zeta^2) and s^ = (2 / h) tanh(s h / 2), terms ``U diag(mu) U^T`` of mass and
+    ``U diag(d) U^T`` of damping, U = M Phi,
+
+    .. math::  1 + \mu = \omega^2 / |\hat s|^2, \qquad d = -2 (1 + \mu)\,\mathrm{Re}\,\hat s ,
+
+    multiply a small vibration of a mode by exactly e^{s h} in one step. They vanish as h^2. mu acts on the absolute
+    acceleration, with the base's share scaled so that the response at resonance is exact too; d acts on the velocity
+    relative to the base.
+    """
+    omega = modes.omega_rad_s
+    target = omega.copy()
+    if target_omega_rad_s is not None:
+        target[: target_omega_rad_s.size] = target_omega_rad_s
+    fitted = omega * levels_s[0] < TUNING.largest_corrected_phase
+    omega, target, zeta = omega[fitted], target[fitted], coefficients.damping_ratio[fitted]
+    rows = np.ascontiguousarray((modes.beam.mass_matrix() @ modes.phi[:, fitted]).T)
+    exponent = target * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    h = levels_s[:, np.newaxis]
+    discrete = 2.0 / h * np.tanh(0.5 * exponent * h)
+    ratio = omega**2 / np.abs(discrete) ** 2
+    elsewhere = (
+        coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
+    )
+    phase = 0.5 * target * levels_s[0]
+    # with x = omega h / 2, the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
+    # and at resonance the corrected damping acts on a velocity that is smaller by the same factor
+    share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
+    base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
+    return ModalTerms(
+        rows=rows,
+        mass=ratio - 1.0,
+        damping=-2.0 * ratio * discrete.real - elsewhere,
+        base_force=base_force,
+        phi=np.ascontiguousarray(modes.phi[:, fitted]),
+        equilibrium=modes.equilibrium,
+        exponent=exponent,
+        discrete=discrete[0],
+    )
+
+
+def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
+    """First of the modal terms, (..., r), with a significant share of the tangent's mass part; r where none has."""
+    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * TUNING.smallest_share
+    return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))
 
 
 def simulate(

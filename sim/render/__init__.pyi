@@ -2,6 +2,8 @@ from .bound import position_bound_px as position_bound_px
 from .camera import Camera as Camera
 from .camera import Poses as Poses
 from .camera import SampledMotion as SampledMotion
+from .frames import Scene as Scene
+from .frames import Strip as Strip
 from .frames import expose as expose
 from .frames import render_frames as render_frames
 from .frames import render_ideal as render_ideal
@@ -22,8 +24,6 @@ from .recording import RecordingPlan as RecordingPlan
 from .recording import StagedRecording as StagedRecording
 from .recording import stage_recording as stage_recording
 from .recording import write_video as write_video
-from .scene import Scene as Scene
-from .scene import Strip as Strip
 from .simulated_motion import SimulatedMotion as SimulatedMotion
 from .simulated_motion import simulated_motion as simulated_motion
 from .strip import BareStrip as BareStrip

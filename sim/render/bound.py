@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.render.camera import Camera, Poses
-from sim.render.frames import render_ideal
+from sim.render.frames import Scene, render_ideal
 from sim.render.markers import ArucoMarker, Marker
-from sim.render.scene import Scene
 from tracker import FloatArray
 
 

@@ -1,4 +1,4 @@
-"""Frames of a scene as the camera would record them, and the true centres of the markers."""
+"""A scene of moving markers and the beam behind them: its frames as a camera records them, and the true centres."""
 
 from __future__ import annotations
 
@@ -10,12 +10,55 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.render.camera import Camera, Poses
+from sim.render.camera import Camera, Motion, Poses
 from sim.render.kernels import add_marker, add_strip, order_for, unit_rule
-from sim.render.markers import MarkerTable
-from sim.render.scene import Scene, Strip
+from sim.render.markers import Marker, MarkerTable, Texture
 from sim.render.strip import BareStrip, StripImage
-from tracker import FloatArray
+from tracker import FloatArray, checked
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strip:
+    """The beam behind markers: a polyline of constant width and brightness, hidden where a marker covers it.
+
+    Cheap; where the beam is to be measured itself, use `BareStrip`.
+
+    Each segment is an exact blurred rectangle. At a joint two segments overlap or leave a gap of ``width^2 / 8`` times
+    the angle between them, and a chord deviates from its arc by ``curvature length^2 / 8``: choose segments short
+    enough for both to be well below a pixel.
+
+    Attributes
+    ----------
+    width_mm, gray : float
+    motion : Motion
+        Of the points on the centreline, in order; the angles are not used.
+    """
+
+    width_mm: float
+    gray: float
+    motion: Motion
+
+    def __post_init__(self) -> None:
+        checked("width_mm of a strip", self.width_mm, positive=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Moving markers, point i of the motion carrying ``markers[i]``; optionally the beam and a pattern behind them.
+
+    The pattern, a `backdrop` at rest, is added to the camera's background. It needs a bare strip, or nothing else: the
+    image of a marker is that in front of an even background.
+    """
+
+    markers: tuple[Marker, ...]
+    motion: Motion
+    strip: Strip | BareStrip | None = None
+    backdrop: Texture | None = None
+
+    def __post_init__(self) -> None:
+        if self.backdrop is not None and (self.markers or isinstance(self.strip, Strip)):
+            msg = "a backdrop is rendered behind a bare strip without markers only; leave out the backdrop"
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True)

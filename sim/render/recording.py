@@ -21,9 +21,8 @@ from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.damping import DampingModel
 from sim.dynamics import FailedSimulation, Trajectory, longest_step_s, shake_and_stop
 from sim.render.camera import Camera, SampledMotion
-from sim.render.frames import render_frames, true_centres_px, true_line_px
+from sim.render.frames import Scene, Strip, render_frames, true_centres_px, true_line_px
 from sim.render.markers import Marker, Texture
-from sim.render.scene import Scene, Strip
 from sim.render.strip import BareStrip, Surface
 from tracker import FloatArray
 

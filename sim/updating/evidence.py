@@ -17,10 +17,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sim.beam import BeamProperties
-from sim.updating.bayesian import whiten
 from sim.updating.least_squares import Misfit, uniform_basis
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.posterior import SmoothPrior, draw, maximum
+from sim.updating.posterior import DEFAULT_PRIOR, SmoothPrior, draw, maximum, whiten
 from tracker import FloatArray
 
 
@@ -46,7 +45,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-_DEFAULT_PRIOR = SmoothPrior()
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def compare_models(
     properties: BeamProperties,
     measured: MeasuredModes,
     *,
-    prior: SmoothPrior = _DEFAULT_PRIOR,
+    prior: SmoothPrior = DEFAULT_PRIOR,
     seed: int = 0,
 ) -> ModelComparison:
     """Marginal likelihoods of uniform, linearly tapering and smooth beams, with gravity (if there is any) and without.

@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sim.beam import BeamProperties, BuckledBeamError, NoEquilibriumError
-from sim.updating.bayesian import TUNING as BAYESIAN
-from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
-from sim.updating.elastic_clamp import ClampPosterior, find_clamp
+from sim.updating.causes import ClampPosterior, PointMassPosterior, find_clamp, find_point_mass
 from sim.updating.evidence import ModelComparison, compare_models
 from sim.updating.least_squares import PaperUpdate, UniformUpdate, update_like_paper, update_uniform
 from sim.updating.measured_modes import TUNING as MEASURED
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.point_mass import PointMassPosterior, find_point_mass
-from sim.updating.posterior import SmoothPrior
+from sim.updating.posterior import TUNING as BAYESIAN
+from sim.updating.posterior import BayesianUpdate, SmoothPrior, UndecidedError, update_bayesian
 from tracker import Column, Failure, FloatArray, IntArray, data_frame, table_row
 
 if TYPE_CHECKING:

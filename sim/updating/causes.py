@@ -1,15 +1,22 @@
-r"""Place and size of one point mass that the description of a beam lacks, from its measured modes.
+r"""What the description of a beam may lack, from its measured modes: one point mass, or the stiffnesses of its clamp.
 
-The prior of the place s is uniform along the beam, that of the mass m half normal, and widths, thicknesses, density
-and modulus have the prior of the Bayesian update. A mass at s lowers a frequency by
-``m phi_r(s)^2 / 2`` of itself, which as a function of s has as many maxima as the mode: the posterior has several
-separate parts. It is therefore computed on a grid of places, at each of which Laplace's approximation gives the
+Widths, thicknesses, density and modulus have the prior of the Bayesian update.
+
+*Point mass.* The prior of the place s is uniform along the beam, that of the mass m half normal. A mass at s lowers a
+frequency by ``m phi_r(s)^2 / 2`` of itself, which as a function of s has as many maxima as the mode: the posterior has
+several separate parts. It is therefore computed on a grid of places, at each of which Laplace's approximation gives the
 marginal likelihood over the mass and all properties and the conditional distribution of the mass, a normal one
 truncated at zero; cells with much probability, or about a maximum, are divided. Where a mass does not improve the fit,
 the approximation is that about the beam without it.
 
 Where both ends are alike, frequencies are the same for the place L - s, and both are found; shapes decide between them.
 A mass and a smooth change of the section are told apart only as far as the prior of the sections excludes the latter.
+
+*Clamp.* Before the measurement the logarithms of both stiffnesses are normal, over the decades in which a clamp is
+neither a hinge nor rigid to the accuracy of a measurement. A clamp that turns lowers all modes of a uniform cantilever
+by about the same ``2 E I / (k_r L)``, as a lower modulus does: its stiffness is known as well as the modulus is before
+the measurement. One that gives way lowers mode n by ``2 (beta_n sigma_n L)^2 E I / (k_t L^3)``, which grows with the
+mode.
 """
 
 from __future__ import annotations
@@ -20,17 +27,16 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri
 
-from sim.beam import BeamProperties, PointMass
-from sim.updating.bayesian import whiten
+from sim.beam import BeamProperties, ElasticClamp, PointMass
 from sim.updating.least_squares import Misfit
 from sim.updating.measured_modes import MeasuredModes
-from sim.updating.posterior import Maximum, SmoothPrior, maximum
+from sim.updating.posterior import DEFAULT_PRIOR, Maximum, SmoothPrior, UndecidedError, draw, maximum, whiten
 from tracker import INTERVAL_ENDS, INTERVAL_LEVEL, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Prior of the mass and grid of its places."""
+    """Priors of the mass and of the stiffnesses, grid of places, and draws."""
 
     #: [mass of the beam] scale of the half-normal prior, its rms
     #: convention: A sensor or marker on a beam: 90 % below a sixth of the beam's mass.
@@ -59,10 +65,33 @@ class Tuning:
     #: [1] draws from which regions and intervals are made
     #: statistics: The probability of a 90 % region is known to 0.5 %.
     draws: int = 4000
+    #: [E I / L^3] median of the stiffness against translation
+    #: physics: It lowers mode 5 by 0.4 %.
+    translation: float = 1e5
+    #: [ln] its standard deviation
+    #: physics: 90 % lower mode 5 by between 50 % and 0.003 %, less than the default error of the model.
+    translation_sd: float = 3.0
+    #: [E I / L] median of that against rotation
+    #: physics: It lowers all modes by 0.7 %.
+    rotation: float = 300.0
+    #: [ln] its standard deviation
+    #: physics: 90 % lower all modes by between 40 % and 0.01 %.
+    rotation_sd: float = 2.5
+    #: [prior sd] distance of the starts of the search from the medians
+    #: physics: The stiff end is flat: a search from there may stay.
+    apart: float = 1.5
+    #: [prior sd] distance beyond which stiffnesses are not tried
+    #: physics: A hinge, whose beam may have no equilibrium; one of 400 draws of the prior is beyond.
+    farthest: float = 3.0
+    #: [1] draws from which intervals are made
+    #: statistics: The 5 % quantile of 2000 draws has the standard error 0.5 % of probability.
+    clamp_draws: int = 2000
+    #: [1] probability beyond the 5 % and 95 % quantiles of the prior from which a side of an interval is open
+    #: statistics: A fifth of that of the prior: the modes say little of stiffnesses there.
+    left: float = 0.01
 
 
 TUNING = Tuning()
-_DEFAULT_PRIOR = SmoothPrior()
 
 
 @dataclass(frozen=True)
@@ -156,7 +185,7 @@ def find_point_mass(
     properties: BeamProperties,
     measured: MeasuredModes,
     *,
-    prior: SmoothPrior = _DEFAULT_PRIOR,
+    prior: SmoothPrior = DEFAULT_PRIOR,
     seed: int = 0,
 ) -> PointMassPosterior:
     """Posterior of a point mass that `properties` lacks; its known point masses are kept.
@@ -244,3 +273,105 @@ def _to_divide(log_likelihood: FloatArray, length: FloatArray) -> FloatArray:
     steep = np.maximum(np.where(np.isfinite(left), left, 0.0), np.where(np.isfinite(right), right, 0.0))
     near = log_likelihood > np.max(log_likelihood) - TUNING.hopeless
     return np.asarray(likely | ((left >= 0.0) & (right >= 0.0) & (steep > TUNING.steep) & near))
+
+
+@dataclass(frozen=True)
+class ClampPosterior:
+    """Posterior of the stiffnesses of a clamp.
+
+    Attributes
+    ----------
+    most_probable : ElasticClamp
+    stiffness : array, shape (n, 2)
+        Draws of equal weight: against translation in N/m, against rotation in N m/rad.
+    prior_median, prior_log_sd : array, shape (2,)
+        Of the stiffnesses in the same order, and of their logarithms.
+    effective_draws : float
+        Effective number of the weighted draws.
+    log_odds : float
+        Logarithm of the odds of a beam with such a clamp against one with a rigid one, equal before the measurement.
+    """
+
+    most_probable: ElasticClamp
+    stiffness: FloatArray
+    prior_median: FloatArray
+    prior_log_sd: FloatArray
+    effective_draws: float
+    log_odds: float
+
+    def interval(self, level: float = INTERVAL_LEVEL) -> FloatArray:
+        """Intervals of both stiffnesses, shape (2, 2), in the order of `stiffness`.
+
+        A side is open, with the limit 0 or infinity, where the modes hardly exclude stiffnesses beyond the 5 % or 95 %
+        quantile of the prior; the other limit then leaves out ``1 - level``.
+        """
+        beyond = (np.log(self.stiffness / self.prior_median) / self.prior_log_sd)[:, :, np.newaxis] * [
+            -1.0,
+            1.0,
+        ]
+        is_open = np.mean(beyond > ndtri(0.95), axis=0) > TUNING.left
+        found = np.empty((2, 2))
+        for of, (low, high) in enumerate(is_open):
+            tail = (1.0 - level) / (1.0 if low != high else 2.0)
+            found[of] = np.quantile(self.stiffness[:, of], [tail, 1.0 - tail])
+        return np.where(is_open, [0.0, np.inf], found)
+
+
+def find_clamp(
+    properties: BeamProperties,
+    measured: MeasuredModes,
+    *,
+    prior: SmoothPrior = DEFAULT_PRIOR,
+    seed: int = 0,
+) -> ClampPosterior:
+    """Posterior of the clamp of `properties` at its first end, in place of the one that it has.
+
+    Raises
+    ------
+    UndecidedError
+        If the first end is not clamped, or no beam has the measured modes.
+    BuckledBeamError
+        If a standing beam with a rigid clamp cannot carry its own weight.
+    """
+    if properties.ends[0] != "clamped":
+        msg = f"an elastic clamp needs a clamped first end; it is {properties.ends[0]}"
+        raise UndecidedError(msg)
+    bend = properties.elastic_modulus_pa * float(np.mean(properties.second_moment_m4))
+    length = properties.length_m
+    median = bend * np.array([TUNING.translation / length**3, TUNING.rotation / length])
+    log_sd = np.array([TUNING.translation_sd, TUNING.rotation_sd])
+    clamp = ElasticClamp(float(median[1]), float(median[0]))
+    misfit = Misfit.of(replace(properties, clamp=clamp), measured, clamp=True)
+    own = prior.basis(properties.elements)
+    basis = np.zeros((own.shape[0] + 2, own.shape[1] + 2))
+    basis[:-2, :-2] = own
+    basis[-2:, -2:] = np.diag(log_sd)
+    free = whiten(misfit, basis)
+
+    def tried(z: FloatArray) -> FloatArray:
+        return np.clip(z[..., -2:], -TUNING.farthest, TUNING.farthest)
+
+    def whitened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return free(np.hstack([z[:, :-2], tried(z)]))
+
+    starts = np.zeros((5, basis.shape[1]))
+    starts[1:, -2:] = TUNING.apart * np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+    tops = [maximum(whitened, start) for start in starts]
+    # NaN of a beam that buckles is never the smallest
+    top = min(tops, key=lambda one: np.nan_to_num(one.z @ one.z + one.misfit @ one.misfit, nan=np.inf))
+    rng = np.random.default_rng(seed)
+    drawn = draw(whitened, top, TUNING.clamp_draws, rng)
+    if drawn.lost == TUNING.clamp_draws:
+        msg = "no beam near the configured one has the measured modes with any clamp"
+        raise UndecidedError(msg)
+    rigid = Misfit.of(replace(properties, clamp=None), measured)
+    without = maximum(whiten(rigid, own), np.zeros(own.shape[1]))
+    return ClampPosterior(
+        most_probable=clamp.scaled(np.exp(tried(top.z) * log_sd)),
+        stiffness=median * np.exp(tried(drawn.z[drawn.equal(rng)]) * log_sd),
+        prior_median=median,
+        prior_log_sd=log_sd,
+        effective_draws=drawn.effective,
+        log_odds=drawn.log_evidence(misfit.log_normalisation)[0]
+        - without.log_evidence(rigid.log_normalisation),
+    )
