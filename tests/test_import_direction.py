@@ -18,9 +18,8 @@ PACKAGES = {
         "tracker.columns",
         "tracker.settings_base",
         "tracker.flags",
-        "tracker.spread",
     ),
-    "sim": ("modal_id.results", "tracker.arrays", "tracker.checks", "tracker.columns", "tracker.spread"),
+    "sim": ("modal_id.results", "tracker.arrays", "tracker.checks", "tracker.columns"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
 # Scripts beside the packages, and which of the other scripts they may import.

@@ -1,13 +1,15 @@
-"""When a fit is accepted and which flags it has: the same for a marker and for a station of a line."""
+"""What following a marker and a station of a line share: when a fit is accepted, its flags, prediction of the next."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Tuning:
-    """Limits of a fit of a model to pixels, and of its flags."""
+    """Limits of a fit of a model to pixels and of its flags; the polynomial that predicts the next frame."""
 
     #: [1] share of the pixels that the model must explain, as a correlation, unless the residual is noise
     least_correlation: float = 0.85
@@ -31,6 +33,18 @@ class Tuning:
     #: [1] multiple of the usual chi-square beyond which a fit is poor
     #: convention: chosen; effect on a flag, and on the sd of stations
     poor_ratio: float = 1.5
+    #: [1] share of the newest error in the running mean that selects the degree of the polynomial
+    newest_share: float = 0.2
+    #: [px] error that counts at most
+    #: convention: about a marker's distance: else one jump would dominate for long
+    largest_error_px: float = 10.0
+    #: [frames] for which what was lost is extrapolated; then it is expected where it was last
+    #: convention: errors of a cubic grow with the third power of the frames
+    longest_extrapolation: int = 4
 
 
 TUNING = Tuning()
+
+
+# Polynomials of degree 0 to 3 through the last positions, the latest first: weights for the next one.
+AHEAD = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, -1.0, 0.0, 0.0], [3.0, -3.0, 1.0, 0.0], [4.0, -6.0, 4.0, -1.0]])

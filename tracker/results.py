@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from tracker.arrays import FlagArray, FloatArray, IntArray
 from tracker.checks import Failure
-from tracker.columns import Column, data_frame, dataset, table_row
+from tracker.columns import Column, data_frame, dataset, fields_of, signals_of, table_row
 from tracker.flags import format_flags
 from tracker.geometry import Lens, PlaneMap, Positions, Scale, TimeAxis, median_over_time, rectified
 from tracker.position_errors import PositionErrors
 from tracker.scale_change import ScaleChange
-from tracker.sep005 import fields_of, signals_of
 
 if TYPE_CHECKING:
     import pandas as pd

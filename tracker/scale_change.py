@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 from scipy.special import fdtrc
 
-from tracker.arrays import BoolArray, FloatArray
+from tracker.arrays import BoolArray, FloatArray, robust_sd
 from tracker.position_errors import TUNING as POSITION
-from tracker.spread import robust_sd
 from tracker.vibration_direction import component, strongest_line_hz
 
 

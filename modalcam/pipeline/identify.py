@@ -24,7 +24,7 @@ from sim.beam import BeamModes
 from sim.comparison import bands, draw_indices
 from sim.updating import MeasuredShape
 from tracker import DisplacementSeries, Failure, FloatArray, MarkerTracks
-from tracker.geometry import exposure_attenuation, median_over_time, shutter
+from tracker.geometry import exposure_attenuation, median_over_time, time_axis
 from tracker.markers import AUTO_KIND, kind_of
 
 
@@ -189,7 +189,7 @@ def correct_amplitudes(found: Identification, exposure_s: float | None) -> Ident
 
 def _corrected(mode: IdentifiedMode, exposure_s: float) -> IdentifiedMode:
     product = mode.frequency_hz * exposure_s
-    if product > shutter.TUNING.largest_product:
+    if product > time_axis.TUNING.largest_product:
         note = (
             f"The exposure of {1e3 * exposure_s:g} ms lasts {product:.2g} periods of this mode: most of its motion is "
             "averaged out, so its amplitude is not that of the beam. Use a shorter exposure."

@@ -19,7 +19,7 @@ from modalcam.pipeline import RecordingResult, RunResult
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker import ComplexArray, FloatArray, IntArray, MarkerTracks, flags, robust_sd
-from tracker.template import compression, prediction
+from tracker.template import noise, prediction
 
 _ENVELOPE_POINTS = 160
 
@@ -308,7 +308,7 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
         for k in range(m):
             residual = prediction_residual(np.where(repeated[:, k], np.nan, values[:, k]))
             good = np.isfinite(residual) & (sd[:, k] > 0.0)
-            if np.count_nonzero(good) < compression.TUNING.neighbours:
+            if np.count_nonzero(good) < noise.TUNING.neighbours:
                 continue
             stated[c, k] = np.median(sd[good, k])
             # A median: a few lost frames or jumps are not the scatter of the rest.
@@ -337,7 +337,7 @@ def prediction_residual(series: FloatArray) -> FloatArray:
     array, shape (n,)
         NaN at both ends, where a neighbour is missing, and everywhere in a series that is too short.
     """
-    residual, sd = prediction(series, first=1, count=compression.TUNING.neighbours)
+    residual, sd = prediction(series, first=1, count=noise.TUNING.neighbours)
     residual /= sd
     return residual
 

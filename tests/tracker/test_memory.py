@@ -12,7 +12,8 @@ import pytest
 from kit.scenes import Recording
 
 from tracker import TrackerSettings, track_source
-from tracker.follow import RowStore, fits
+from tracker.follow import RowStore
+from tracker.follow import recording as rows
 from tracker.video import Frame, SourceInfo
 
 MARKERS = 1
@@ -87,7 +88,7 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
     _peak_while_tracking(images, 210)  # compiles
     more = _peak_while_tracking(images, long) - _peak_while_tracking(images, short)
     per_row = 36 * MARKERS
-    allowed = per_row * (long - short + fits.TUNING.chunk_rows) + 100 * (long - short) + 10 * images[0].nbytes
+    allowed = per_row * (long - short + rows.TUNING.chunk_rows) + 100 * (long - short) + 10 * images[0].nbytes
     assert more < allowed, (
         f"{long - short} more frames took {more} more bytes; allowed with a margin of ten frames: {allowed}"
     )
@@ -97,7 +98,7 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
 def test_rows_are_returned_in_the_requested_order(correlated) -> None:
     """Against the stored rows, across the boundary of two chunks."""
     rng = np.random.default_rng(5)
-    n = fits.TUNING.chunk_rows + 7
+    n = rows.TUNING.chunk_rows + 7
     values = rng.normal(size=(n, 4, 3))
     marks = rng.integers(0, 100, (n, 3)).astype(np.uint32)
     correlations = rng.uniform(-1.0, 1.0, (n, 3)) if correlated else [None] * n

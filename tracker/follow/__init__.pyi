@@ -1,10 +1,10 @@
 from . import fits as fits
 from . import recording as recording
-from .fits import RowStore as RowStore
 from .follower import Follower as Follower
 from .recording import FollowedFrames as FollowedFrames
 from .recording import Progress as Progress
+from .recording import RowStore as RowStore
 from .recording import StripKeeper as StripKeeper
 from .recording import follow_recording as follow_recording
-from .repeats import image_change as image_change
-from .repeats import repeated_frames as repeated_frames
+from .recording import image_change as image_change
+from .recording import repeated_frames as repeated_frames

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from tracker.acceptance import AHEAD
+from tracker.acceptance import TUNING as PREDICTION
 from tracker.arrays import BoolArray, FloatArray, IntArray
-from tracker.prediction import AHEAD
-from tracker.prediction import TUNING as PREDICTION
 
 # Frozen into compiled code.
 NEWEST_SHARE = PREDICTION.newest_share

@@ -4,15 +4,15 @@ from . import kernel as kernel
 from . import model as model
 from . import stations as stations
 from .calibrate import calibrate_line as calibrate_line
-from .cholesky import solve_in_place as solve_in_place
-from .curve import Centreline as Centreline
 from .find import find_line as find_line
 from .follower import LineFollower as LineFollower
+from .kernel import solve_in_place as solve_in_place
 from .light import UNKNOWN_LIGHT as UNKNOWN_LIGHT
 from .light import Light as Light
 from .light import known_light_shift as known_light_shift
 from .light import learned_light as learned_light
 from .light import light_basis as light_basis
+from .model import Centreline as Centreline
 from .model import LineModel as LineModel
 from .noise import codec_skipped as codec_skipped
 from .noise import line_sd_factor as line_sd_factor

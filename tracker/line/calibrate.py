@@ -10,12 +10,11 @@ import numpy as np
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.checks import Failure
 from tracker.line import kernel
-from tracker.line.curve import TUNING as CURVE
-from tracker.line.curve import Centreline, CurveAt, resampled, smoothed
 from tracker.line.follower import Fit, FoundPath, LineFollower, centred, find_path, straightened
 from tracker.line.light import learned_light
+from tracker.line.model import TUNING as CURVE
 from tracker.line.model import TUNING as ENDS
-from tracker.line.model import LineModel, learned_background
+from tracker.line.model import Centreline, CurveAt, LineModel, learned_background, resampled, smoothed
 from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
 
 

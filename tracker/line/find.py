@@ -9,8 +9,8 @@ from scipy import ndimage
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.checks import Failure
-from tracker.line.curve import CurveAt
 from tracker.line.follower import find_path, straightened
+from tracker.line.model import CurveAt
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,15 @@ import numpy as np
 from numba import njit
 
 from tracker import flags
+from tracker.acceptance import AHEAD
 from tracker.acceptance import TUNING as ACCEPTANCE
+from tracker.acceptance import TUNING as PREDICTION
 from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage, IntArray
 from tracker.line import kernel
 from tracker.line import stations as line_kernels
-from tracker.line.curve import CurveAt
-from tracker.line.model import LineModel, empty_stations
+from tracker.line.model import CurveAt, LineModel, empty_stations
 from tracker.line.profile import spline_values
 from tracker.line.stations import CHANGE, DEGREES, LEARNED, LEAST_ACCEPTED, LINES, ORDER
-from tracker.prediction import AHEAD
-from tracker.prediction import TUNING as PREDICTION
 
 
 @dataclass(frozen=True)

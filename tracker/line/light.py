@@ -12,7 +12,7 @@ from numba.extending import register_jitable
 
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line import kernel
-from tracker.line.cholesky import solve_in_place
+from tracker.line.kernel import solve_in_place
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from tracker.line.follower import Fit, LineFollower
 from tracker.line.model import LineModel
 from tracker.line.profile import spline_values
 from tracker.results import MarkerTracks
-from tracker.template import compression, correlation_factors
+from tracker.template import correlation_factors
+from tracker.template import noise as pixel_noise
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def line_sd_factor(images: list[GrayImage], model: LineModel) -> float:
     follower = LineFollower(model)
 
     def windows() -> Iterator[tuple[FloatArray, ...]]:
-        for image in images[: compression.TUNING.frames]:
+        for image in images[: pixel_noise.TUNING.residual_frames]:
             follower.step(image)
             if follower.fit is not None:
                 for k in np.flatnonzero(follower.fit.accepted)[:: TUNING.every_station]:

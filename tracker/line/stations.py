@@ -10,12 +10,11 @@ from numba import njit
 from numba.extending import register_jitable
 
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.acceptance import TUNING as PREDICTION
+from tracker.arrays import MAD_TO_SD, BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
-from tracker.line.cholesky import solve_in_place
+from tracker.line.kernel import solve_in_place
 from tracker.line.light import Light, hold_light
-from tracker.prediction import TUNING as PREDICTION
-from tracker.spread import MAD_TO_SD
 
 
 @dataclass(frozen=True)

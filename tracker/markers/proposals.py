@@ -10,10 +10,9 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage, robust_sd
 from tracker.markers.assignment import Expectation, Scene, assign, completed, spacing_px
 from tracker.markers.kind import Candidates
-from tracker.spread import robust_sd
 from tracker.video import to_8_bit
 
 

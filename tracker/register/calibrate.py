@@ -17,11 +17,11 @@ from tracker.register.calibration_frames import (
     notes_on_patches,
     registered,
     with_motion_sd,
+    with_refined_warp,
     without_background,
 )
 from tracker.register.exposure import ExposureShare, estimate_exposure, largest_motion_px
 from tracker.register.marker import Camera, MarkerModel, contrast_state, register
-from tracker.register.refined_warp import with_refined_warp
 from tracker.template import (
     Blurrer,
     NoiseModel,

@@ -1,4 +1,8 @@
-"""Registration of one marker in all calibration frames; for a patch, the part that moves as one object."""
+"""Registration of one marker in all calibration frames; for a patch, the part that moves as one object.
+
+The shape in the image of a marker that rotates is fitted to all: the corners of one frame do not determine it well
+enough.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from tracker.geometry import median_over_time
 from tracker.markers import Detection
 from tracker.register import kernel
@@ -30,7 +34,7 @@ from tracker.template import (
 
 @dataclass(frozen=True)
 class Tuning:
-    """Following a marker through the calibration frames, and the object in the window of a patch."""
+    """Following a marker through the calibration frames, the object in a patch, the shape of a rotating marker."""
 
     #: [1] correlation below which a fit during the calibration is not the marker
     #: convention: where a fit anywhere counted, patches, dots and codes at 25 px a frame were learned from wrong
@@ -69,6 +73,26 @@ class Tuning:
     #: [1] smaller shares of a window and relative errors are not mentioned
     #: convention: chosen; a note changes no result
     worth_a_note: float = 0.05
+    #: [rad] rotation over the calibration frames from which the shape is fitted
+    #: convention: a template absorbs an error of the warp as long as the marker turns less
+    least_rotation_rad: float = 0.1
+    #: [rad] rotation during an exposure up to which the shape is fitted
+    #: convention: no template includes rotation: with more, the shear would only hide the misfit
+    largest_blur_rad: float = 0.03
+    #: [frames] that are compared
+    #: convention: limits time
+    warp_frames: int = 16
+    #: [steps] Newton steps at most
+    #: convention: limits time
+    warp_steps: int = 6
+    #: [px] change at the marker's rim over which chi-square is differenced
+    #: convention: well above the rounding of chi-square and below the blur
+    difference_px: float = 0.1
+    #: [px] change at the marker's rim that ends the search
+    #: convention: far below the tenths of a px by which corners err
+    short_px: float = 0.005
+    #: [px] shift at which a fit with a trial shape fails
+    warp_farthest_px: float = 3.0
 
 
 TUNING = Tuning()
@@ -303,3 +327,70 @@ def with_motion_errors(positions_px: FloatArray, sd_px: FloatArray, motion_sd: F
     relative = np.where(np.isfinite(motion_sd), motion_sd, 0.0)
     moved = positions_px - median_over_time(positions_px)
     return np.asarray(np.hypot(sd_px, relative * moved))
+
+
+def with_refined_warp(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel:
+    """The model with the warp that explains the marker at all its angles; unchanged where it does not rotate.
+
+    The corners found in one frame err by some tenths of a px. In that frame the template absorbs the shear this causes;
+    once the marker has turned, the shear is wrong. Aspect ratio and shear are fitted to frames of different angles.
+    Size and rotation belong to the template and to the angle.
+    """
+    seen = np.flatnonzero(np.all(np.isfinite(model.states), axis=1))
+    if np.ptp(model.states[seen, 2]) < TUNING.least_rotation_rad:
+        return model
+    turned = float(np.median(np.abs(np.diff(model.states[seen, 2])))) * frames.exposure_share
+    if turned > TUNING.largest_blur_rad:
+        return model
+    chosen = seen[np.linspace(0, seen.size - 1, min(TUNING.warp_frames, seen.size)).astype(np.int64)]
+    half_px = 0.5 * model.detection.size_px
+    step, shear = TUNING.difference_px / half_px, np.zeros(2)
+    for _ in range(TUNING.warp_steps):
+        change = _newton_step(frames, model, chosen, shear, step)
+        shear = shear + change
+        if np.hypot(*change) * half_px < TUNING.short_px:
+            break
+    before, after = (_mean_chi2(frames, model, chosen, at) for at in (np.zeros(2), shear))
+    if not after < before:
+        return model
+    refined = replace(model, warp=_sheared(model.warp, shear))
+    return registered(frames, refined, model.states[chosen[0]], model.states) or model
+
+
+def _sheared(warp: FloatArray, shear: FloatArray) -> FloatArray:
+    """The warp with its aspect ratio and shear changed."""
+    return np.asarray((np.eye(2) + np.array([[shear[0], shear[1]], [shear[1], -shear[0]]])) @ warp)
+
+
+def _newton_step(
+    frames: CalibrationFrames, model: MarkerModel, chosen: IntArray, at: FloatArray, step: float
+) -> FloatArray:
+    """Step to the minimum of the parabola through chi-square around `at`, of limited length; none without minimum."""
+    ways = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
+    mid, right, left, up, down, both, neither = (
+        _mean_chi2(frames, model, chosen, at + step * way) for way in ways
+    )
+    slope = np.array([right - left, up - down]) / 2.0
+    across, along = right + left - 2.0 * mid, up + down - 2.0 * mid
+    mixed = (both + neither - right - left - up - down + 2.0 * mid) / 2.0
+    if not (across > 0.0 and along > 0.0 and across * along > mixed**2):
+        return np.zeros(2)
+    change = -np.linalg.solve(np.array([[across, mixed], [mixed, along]]), slope)
+    return np.asarray(step * change * 3.0 / max(3.0, float(np.hypot(*change))))
+
+
+def _mean_chi2(frames: CalibrationFrames, model: MarkerModel, chosen: IntArray, shear: FloatArray) -> float:
+    """Mean chi-square of the chosen frames with a sheared warp; infinite where one is not fitted."""
+    warp, total = _sheared(model.warp, shear), 0.0
+    for k in chosen:
+        result = register(
+            frames.images[k],
+            model.states[k],
+            warp,
+            model.template,
+            frames.camera,
+            with_angle=True,
+            max_shift_px=TUNING.warp_farthest_px,
+        )
+        total += float(result[kernel.CHI2]) if result[kernel.CONVERGED] > 0.0 else np.inf
+    return total / len(chosen)

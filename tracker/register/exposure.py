@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, robust_sd
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
-from tracker.spread import robust_sd
 from tracker.template import (
     Blurrer,
     exposed_path_px,

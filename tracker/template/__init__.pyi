@@ -1,5 +1,4 @@
 from . import blur as blur
-from . import compression as compression
 from . import noise as noise
 from . import template as template
 from .background import ObjectMotion as ObjectMotion
@@ -19,14 +18,14 @@ from .blur import sharp_states as sharp_states
 from .blur import typical_chi2 as typical_chi2
 from .blur import unblurred as unblurred
 from .blur import widened as widened
-from .compression import correlation_factors as correlation_factors
-from .compression import largest_sd as largest_sd
-from .compression import prediction as prediction
-from .compression import sd_factors as sd_factors
-from .compression import series_sd as series_sd
 from .noise import NoiseModel as NoiseModel
+from .noise import correlation_factors as correlation_factors
 from .noise import estimate_noise as estimate_noise
 from .noise import fit_line as fit_line
+from .noise import largest_sd as largest_sd
+from .noise import prediction as prediction
+from .noise import sd_factors as sd_factors
+from .noise import series_sd as series_sd
 from .spline import Template as Template
 from .spline import fill_taps as fill_taps
 from .spline import from_values as from_values

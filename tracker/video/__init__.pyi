@@ -1,8 +1,5 @@
 from . import registry as registry
 from . import source as source
-from .background import without_departures as without_departures
-from .camera_header import HEADER_SUFFIXES as HEADER_SUFFIXES
-from .camera_header import read_photron_header as read_photron_header
 from .ffmpeg import VideoSource as VideoSource
 from .images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .images import ImageFiles as ImageFiles
@@ -11,8 +8,10 @@ from .images import ImageSeries as ImageSeries
 from .images import image_series as image_series
 from .phantom import PhantomSource as PhantomSource
 from .phantom import linear_10 as linear_10
+from .photron import HEADER_SUFFIXES as HEADER_SUFFIXES
 from .photron import PIXEL_SUFFIX as PIXEL_SUFFIX
 from .photron import PhotronSource as PhotronSource
+from .photron import read_photron_header as read_photron_header
 from .registry import ProbeReport as ProbeReport
 from .registry import frame_stamps as frame_stamps
 from .registry import input_files as input_files
@@ -32,3 +31,4 @@ from .source import unpacked as unpacked
 from .tiff import TIFF_SUFFIXES as TIFF_SUFFIXES
 from .tiff import TiffSource as TiffSource
 from .tiff import is_stack as is_stack
+from .unused_frames import without_departures as without_departures

@@ -20,8 +20,7 @@ import av
 import av.error
 
 from tracker.arrays import GrayImage
-from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
-from tracker.video.edit_list import EditList
+from tracker.video.photron import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.source import (
     DECODER_OPTIONS,
     Frame,
@@ -35,6 +34,7 @@ from tracker.video.source import (
     read_head,
     unreadable,
 )
+from tracker.video.unused_frames import EditList
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class VideoSource:
     def frames(self) -> Iterator[Frame]:
         """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""
         # OpenCV, which a run without changes does not need
-        from tracker.video.background import without_departures  # noqa: PLC0415
+        from tracker.video.unused_frames import without_departures  # noqa: PLC0415
 
         alone = not (self.info.predictive or self._has_check_sums or self.info.codec == "rawvideo")
         return without_departures(self._decoded(), self.info.white_level) if alone else self._decoded()

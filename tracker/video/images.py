@@ -17,7 +17,7 @@ import av
 import av.error
 
 from tracker.arrays import GrayImage
-from tracker.video.camera_header import HEADER_SUFFIXES, with_header
+from tracker.video.photron import HEADER_SUFFIXES, with_header
 from tracker.video.source import (
     DECODER_OPTIONS,
     Frame,

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from tracker.arrays import GrayImage
-from tracker.video.camera_header import without_header
 from tracker.video.ffmpeg import FFMPEG
 from tracker.video.images import IMAGE_FOLDER
 from tracker.video.phantom import PHANTOM
-from tracker.video.photron import PHOTRON
+from tracker.video.photron import PHOTRON, without_header
 from tracker.video.source import (
     Frame,
     FrameSource,

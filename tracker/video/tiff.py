@@ -12,7 +12,7 @@ import numpy as np
 import tifffile
 
 from tracker.arrays import GrayImage
-from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.photron import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.source import TUNING as LIMITS
 from tracker.video.source import (
     Frame,
