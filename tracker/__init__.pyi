@@ -27,6 +27,8 @@ from .flags import POOR_FIT as POOR_FIT
 from .flags import REGISTRY as REGISTRY
 from .flags import Severity as Severity
 from .flags import parse_flags as parse_flags
+from .geometry import Scale as Scale
+from .geometry import TimeAxis as TimeAxis
 from .position_errors import PositionErrors as PositionErrors
 from .position_errors import harmonics as harmonics
 from .results import CORRELATION_COLUMN as CORRELATION_COLUMN
@@ -37,8 +39,6 @@ from .results import FailedTracking as FailedTracking
 from .results import FrameStrip as FrameStrip
 from .results import KnownInput as KnownInput
 from .results import MarkerTracks as MarkerTracks
-from .results import Scale as Scale
-from .results import TimeAxis as TimeAxis
 from .scale_change import ScaleChange as ScaleChange
 from .settings import CameraOptions as CameraOptions
 from .settings import MarkerOptions as MarkerOptions

@@ -18,6 +18,12 @@ class Tuning:
     #: [1] chi-square by which the model must improve on a uniform surface
     #: statistics: five standard deviations: noise alone does so in one fit of two million
     least_signal: float = 25.0
+    #: [1] largest gain relative to that of the last good fit
+    #: convention: light and blur change the contrast by less from frame to frame
+    largest_gain_ratio: float = 3.0
+    #: [px] a fit that goes beyond it has failed
+    #: physics: larger than any image that can be read, and small enough for whole numbers of 64 bits
+    farthest_px: float = 1e7
     #: [1] visible share below which a marker touches the edge of the image
     #: convention: chosen; effect on a flag only
     edge_share: float = 0.98

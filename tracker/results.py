@@ -43,18 +43,6 @@ class Tuning:
 
 TUNING = Tuning()
 
-__all__ = [
-    "CORRELATION_COLUMN",
-    "TRACK_COLUMNS",
-    "DecodeReport",
-    "DisplacementSeries",
-    "FailedTracking",
-    "FrameStrip",
-    "MarkerTracks",
-    "Scale",
-    "TimeAxis",
-]
-
 
 class _Part(NamedTuple):
     """Some frames of the tracks: the table has a row for each of them and each marker."""

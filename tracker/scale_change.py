@@ -20,6 +20,7 @@ from scipy.special import fdtrc
 
 from tracker.arrays import BoolArray, FloatArray, robust_sd
 from tracker.position_errors import TUNING as POSITION
+from tracker.vibration_direction import TUNING as DIRECTION
 from tracker.vibration_direction import component, strongest_line_hz
 
 
@@ -27,20 +28,15 @@ from tracker.vibration_direction import component, strongest_line_hz
 class Tuning:
     """Slow changes of the scale: what shows them, and when they matter."""
 
-    #: [1] slow motion has frequencies up to this fraction of the vibration's
+    #: [1] slow motion has frequencies up to this fraction of the vibration's, and up to `ceiling_hz` of the direction
     #: convention: as the baseline (`modal_id.data.baseline`)
     relative_bandwidth: float = 0.4
-    #: [Hz] and up to this
-    #: convention: as the baseline
-    ceiling_hz: float = 1.0
     #: [1] of the splines in a long record
     #: convention: as many as are solved in a second
     most_intervals: int = 200
     #: [frames] that are used
     #: convention: more tell nothing that matters, and their functions of time take memory
     most_frames: int = 200_000
-    #: [frames] without which nothing is said
-    least_frames: int = 64
     #: [frames] for each unknown
     frames_per_unknown: int = 3
     #: [1] share of the frames in which a marker must be seen
@@ -158,12 +154,12 @@ class MarkersInFrames:
             and np.median(across_sd[mask, k]) <= TUNING.most_anisotropy * np.median(along_sd[mask, k])
         ]
         rows = np.all(seen[:, chosen], axis=1)
-        if not chosen or np.count_nonzero(rows) < TUNING.least_frames:
+        if not chosen or np.count_nonzero(rows) < DIRECTION.least_frames:
             return None
         kept = _some_of_many(np.flatnonzero(rows))
         frame_s = float(np.median(np.diff(time_s)))
         line_hz = strongest_line_hz(along[:, chosen], frame_s)
-        knots = _knots(time_s, min(TUNING.relative_bandwidth * line_hz, TUNING.ceiling_hz))
+        knots = _knots(time_s, min(TUNING.relative_bandwidth * line_hz, DIRECTION.ceiling_hz))
         shown = np.ix_(kept, np.array(chosen))
         return cls(
             time_s[kept],

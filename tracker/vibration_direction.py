@@ -19,7 +19,7 @@ class Tuning:
     #: [1] a line exceeds that level by this factor in power
     #: statistics: a bin of noise exceeds it by up to about ten
     line: float = 30.0
-    #: [frames] without which the direction is that of the largest variance
+    #: [frames] without which the direction is that of the largest variance, and no change of the scale is seen
     least_frames: int = 64
     #: [bins] up to which a drift without a period reaches
     #: physics: twice the half width of the main lobe of the window

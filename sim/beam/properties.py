@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -150,40 +150,13 @@ class BeamProperties:
 
     @classmethod
     def uniform(
-        cls,
-        *,
-        length_m: float,
-        width_m: float,
-        thickness_m: float,
-        density_kg_m3: float,
-        elastic_modulus_pa: float,
-        orientation: Orientation,
-        elements: int = 20,
-        point_masses: tuple[PointMass, ...] = (),
-        gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
-        angle_deg: float | None = None,
-        clamp: ElasticClamp | None = None,
-        ends: tuple[End, End] = ("clamped", "free"),
-        tension_n: float = 0.0,
+        cls, *, width_m: float, thickness_m: float, elements: int = 20, **others: Any
     ) -> BeamProperties:
-        """Build a beam with the same section in all `elements`."""
+        """Build a beam with the same section in all `elements`; `others` are fields of the class."""
         if elements < 1:
             msg = f"elements must be at least 1, got {elements}"
             raise ValueError(msg)
-        return cls(
-            length_m=length_m,
-            width_m=np.full(elements, width_m),
-            thickness_m=np.full(elements, thickness_m),
-            density_kg_m3=density_kg_m3,
-            elastic_modulus_pa=elastic_modulus_pa,
-            orientation=orientation,
-            point_masses=point_masses,
-            gravity_m_s2=gravity_m_s2,
-            angle_deg=angle_deg,
-            clamp=clamp,
-            ends=ends,
-            tension_n=tension_n,
-        )
+        return cls(width_m=np.full(elements, width_m), thickness_m=np.full(elements, thickness_m), **others)
 
     @property
     def cantilever(self) -> bool:

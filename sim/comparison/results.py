@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,63 +19,37 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+def _of(path: str) -> Callable[[tuple[Any, Any]], Any]:
+    read = attrgetter(path)
+    return lambda row: read(row[1])
+
+
 # Of ``comparison.csv``: values of a comparison and the decay of one of its models.
+_SAME_FIT = "of the simulated decay, by the same fit"
 COMPARISON_COLUMNS = (
     Column("recording", "", "name of the recording", lambda row: row[0].recording),
     Column("mode", "", "number of the beam's mode", lambda row: row[0].mode_number),
-    Column("model", "", "key of the damping model", lambda row: row[1].model),
+    Column("model", "", "key of the damping model", _of("model")),
     Column("damping_ratio_measured", "1", "as in `modes.csv`", lambda row: row[0].damping_ratio),
-    Column(
-        "damping_ratio_simulated",
-        "1",
-        "of the simulated decay, by the same fit",
-        lambda row: row[1].damping_ratio,
-    ),
+    Column("damping_ratio_simulated", "1", _SAME_FIT, _of("damping_ratio")),
     Column("frequency_measured_hz", "Hz", "as in `modes.csv`", lambda row: row[0].frequency_hz),
+    Column("frequency_simulated_hz", "Hz", _SAME_FIT, _of("frequency_hz")),
+    Column("nrmse", "1", "rms of simulated minus measured over rms of measured displacement", _of("nrmse")),
+    Column("envelope_error", "1", "rms error of the amplitude, weighted by it", _of("envelope_error")),
     Column(
-        "frequency_simulated_hz",
-        "Hz",
-        "of the simulated decay, by the same fit",
-        lambda row: row[1].frequency_hz,
+        "phase_error_rad", "rad", "rms error of the phase, weighted by the amplitude", _of("phase_error_rad")
     ),
-    Column(
-        "nrmse",
-        "1",
-        "rms of simulated minus measured over rms of measured displacement",
-        lambda row: row[1].nrmse,
-    ),
-    Column(
-        "envelope_error", "1", "rms error of the amplitude, weighted by it", lambda row: row[1].envelope_error
-    ),
-    Column(
-        "phase_error_rad",
-        "rad",
-        "rms error of the phase, weighted by the amplitude",
-        lambda row: row[1].phase_error_rad,
-    ),
-    Column("samples", "1", "samples that the scores count", lambda row: row[1].log_density.samples),
-    Column(
-        "log_density",
-        "nat",
-        "log predictive density of the samples, in mm",
-        lambda row: row[1].log_density.total,
-    ),
+    Column("samples", "1", "samples that the scores count", _of("log_density.samples")),
+    Column("log_density", "nat", "log predictive density of the samples, in mm", _of("log_density.total")),
     Column(
         "log_density_gain",
         "nat",
         "excess of the first model (`generic`) over it",
-        lambda row: row[1].log_density_gain.total,
+        _of("log_density_gain.total"),
     ),
-    Column(
-        "log_density_gain_se", "nat", "standard error of the gain", lambda row: row[1].log_density_gain.se
-    ),
-    Column("crps", "mm", "continuous ranked probability score per sample", lambda row: row[1].crps.mean),
-    Column(
-        "coverage_90",
-        "1",
-        "share of the samples within the 90 % predictive band",
-        lambda row: row[1].coverage,
-    ),
+    Column("log_density_gain_se", "nat", "standard error of the gain", _of("log_density_gain.se")),
+    Column("crps", "mm", "continuous ranked probability score per sample", _of("crps.mean")),
+    Column("coverage_90", "1", "share of the samples within the 90 % predictive band", _of("coverage")),
 )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -73,33 +74,27 @@ class UpdatingSettings:
         return SmoothPrior(0.5 * self.bound, self.correlation_length)
 
 
+def _value(path: str) -> Callable[[tuple[Any, int]], float]:
+    read = attrgetter(path)
+    return lambda row: float(read(row[0])[row[1]])
+
+
 def _interval(row: tuple[Updating, int]) -> FloatArray:
     updating, i = row
     return np.asarray(updating.bayesian.frequency_interval_hz()[updating.mode_numbers[i] - 1])
 
 
 # Of ``updating.csv``: values of an updating and the rank of one of its measured modes.
+_ONE_CHANGE = "with one change of thickness and stiffness along the whole beam"
 UPDATING_COLUMNS = (
     Column("mode", "", "number of the beam's mode", lambda row: int(row[0].mode_numbers[row[1]])),
-    Column(
-        "measured_hz", "Hz", "as measured, at small amplitude", lambda row: float(row[0].measured_hz[row[1]])
-    ),
-    Column("standard_hz", "Hz", "of the beam as configured", lambda row: float(row[0].standard_hz[row[1]])),
-    Column("updated_hz", "Hz", "of the most probable beam", lambda row: float(row[0].updated_hz[row[1]])),
+    Column("measured_hz", "Hz", "as measured, at small amplitude", _value("measured_hz")),
+    Column("standard_hz", "Hz", "of the beam as configured", _value("standard_hz")),
+    Column("updated_hz", "Hz", "of the most probable beam", _value("updated_hz")),
     Column("updated_q05_hz", "Hz", "5 % quantile of the posterior", lambda row: float(_interval(row)[0])),
     Column("updated_q95_hz", "Hz", "95 % quantile", lambda row: float(_interval(row)[1])),
-    Column(
-        "paper_hz",
-        "Hz",
-        "by the paper's method, no gravity",
-        lambda row: float(row[0].paper.updated_hz[row[1]]),
-    ),
-    Column(
-        "uniform_hz",
-        "Hz",
-        "with one change of thickness and stiffness along the whole beam",
-        lambda row: float(row[0].uniform.updated_hz[row[1]]),
-    ),
+    Column("paper_hz", "Hz", "by the paper's method, no gravity", _value("paper.updated_hz")),
+    Column("uniform_hz", "Hz", _ONE_CHANGE, _value("uniform.updated_hz")),
 )
 
 

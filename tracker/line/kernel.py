@@ -10,6 +10,7 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 
 
@@ -38,9 +39,6 @@ class Tuning:
     #: [px] path during the exposure below which blur is not modelled
     #: physics: the sd grows by less than 1 %
     least_blur_px: float = 0.2
-    #: [px] a station beyond it is not fitted
-    #: physics: larger than any image that can be read, and small enough for whole numbers of 64 bits
-    farthest_px: float = 1e7
 
 
 TUNING = Tuning()
@@ -52,7 +50,7 @@ LARGEST_STEP_PX = TUNING.largest_step_px
 LEAST_PIXELS = TUNING.least_pixels
 MARGIN_PX = TUNING.margin_px
 LEAST_BLUR_PX = TUNING.least_blur_px
-FARTHEST_PX = TUNING.farthest_px
+FARTHEST_PX = ACCEPTANCE.farthest_px
 
 # State of a station: displacement along the normal in px, gain, offset.
 STATE = 3

@@ -21,8 +21,6 @@ from tracker.line.light import Light, hold_light
 class Tuning:
     """Which stations count, and how the next line is predicted."""
 
-    #: [1] largest change of the gain from that of the last good fit, either way
-    largest_gain_ratio: float = 3.0
     #: [1] share of the window that must lie in the image
     least_seen: float = 0.6
     #: [px] a station that differs from the smooth line through the others by this follows something else
@@ -54,7 +52,7 @@ GOOD_CHI2 = ACCEPTANCE.good_chi2
 LEAST_SIGNAL = ACCEPTANCE.least_signal
 NEWEST_SHARE = PREDICTION.newest_share
 LARGEST_ERROR_PX = PREDICTION.largest_error_px
-LARGEST_GAIN_RATIO = TUNING.largest_gain_ratio
+LARGEST_GAIN_RATIO = ACCEPTANCE.largest_gain_ratio
 LEAST_SEEN = TUNING.least_seen
 OFF_LINE_PX = TUNING.off_line_px
 OFF_LINE_SD = TUNING.off_line_sd

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, IdealFit, part_around
 from tracker.register import exposure, kernel
@@ -57,9 +58,6 @@ class Tuning:
     #: [1] the same where neither template fits
     #: convention: the marker's appearance then changes, and the ideal template represents its mean better
     lenient_margin: float = 2.0
-    #: [1] chi-square of the learned template from which neither fits
-    #: convention: the number of `good_chi2` in `tracker.acceptance`
-    neither_fits: float = 3.0
     #: [px] a patch whose positions changed by less in a round is learned
     #: convention: below the usual sd of a position; effect of the number not measured
     settled_px: float = 2e-3
@@ -125,7 +123,7 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     if learned is None:
         return guess
     ideal = _fit_ideal(frames, learned)
-    worst_ratio = TUNING.lenient_margin if learned.chi2 > TUNING.neither_fits else TUNING.parametric_margin
+    worst_ratio = TUNING.lenient_margin if learned.chi2 > ACCEPTANCE.good_chi2 else TUNING.parametric_margin
     best = ideal if ideal is not None and ideal.chi2 <= worst_ratio * learned.chi2 else learned
     return replace(best, with_angle=_angle_is_determined(frames, best, learned))
 

@@ -47,9 +47,6 @@ class Tuning:
     gain_tolerance_px: float = 5e-4
     #: [steps] from this step on, one against the previous one is halved, with all that follow
     reversals_from: int = 3
-    #: [px] a marker beyond it is not fitted
-    #: physics: larger than any image that can be read, and small enough for whole numbers of 64 bits
-    farthest_px: float = 1e7
     #: [px] longest step taken at once
     #: convention: the gradients of an edge blurred by lens and pixel are not valid farther from it
     longest_step_px: float = 1.5
@@ -64,9 +61,6 @@ class Tuning:
     #: [1] smallest gain relative to that of the last good fit
     #: convention: light and blur change the contrast by less from frame to frame
     least_gain_ratio: float = 0.3
-    #: [1] largest gain relative to that of the last good fit
-    #: convention: as the smallest one
-    largest_gain_ratio: float = 3.0
 
 
 TUNING = Tuning()
@@ -76,7 +70,7 @@ STEP_TOLERANCE_PX = TUNING.step_tolerance_px
 HALVED_STEP_TOLERANCE_PX = TUNING.halved_step_tolerance_px
 GAIN_TOLERANCE_PX = TUNING.gain_tolerance_px
 REVERSALS_FROM = TUNING.reversals_from
-FARTHEST_PX = TUNING.farthest_px
+FARTHEST_PX = ACCEPTANCE.farthest_px
 LONGEST_STEP_PX = TUNING.longest_step_px
 LARGEST_TURN_RAD = TUNING.largest_turn_rad
 TURNING_REACH_PX = TUNING.turning_reach_px
@@ -86,7 +80,7 @@ GOOD_CHI2 = ACCEPTANCE.good_chi2
 LEAST_SIGNAL = ACCEPTANCE.least_signal
 LEAST_SEEN_SHARE = TUNING.least_seen_share
 LEAST_GAIN_RATIO = TUNING.least_gain_ratio
-LARGEST_GAIN_RATIO = TUNING.largest_gain_ratio
+LARGEST_GAIN_RATIO = ACCEPTANCE.largest_gain_ratio
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
 STATE = 5

@@ -32,9 +32,6 @@ from tracker.register.sampling import (
 class Tuning:
     """When uneven light is fitted with a position, and how far it is believed."""
 
-    #: [1] chi-square per degree of freedom from which a residual is no noise of the pixels
-    #: convention: the number of `good_chi2` in `tracker.acceptance`
-    poor_chi2: float = 3.0
     #: [1] above this share of chi-square that is left with uneven light, the cause is something else, such as
     #: compression
     #: convention: light must explain about half of the residual: where it always counted, it changed the damping of a
@@ -67,14 +64,10 @@ class Tuning:
     step_tolerance: float = 0.1
     #: [px] longest step of the position
     longest_step_px: float = 1.0
-    #: [rad] largest change of the angle in one step
-    #: convention: as in `tracker.register.kernel`
-    largest_turn_rad: float = 0.2
 
 
 TUNING = Tuning()
 # Frozen into compiled code.
-POOR_CHI2 = TUNING.poor_chi2
 LEAST_REDUCTION = TUNING.least_reduction
 FULL_REDUCTION = TUNING.full_reduction
 WORTHWHILE = TUNING.worthwhile
@@ -86,7 +79,6 @@ BLOCKS = TUNING.blocks
 MAX_ITERATIONS = TUNING.max_iterations
 STEP_TOLERANCE = TUNING.step_tolerance
 LONGEST_STEP_PX = TUNING.longest_step_px
-LARGEST_TURN_RAD = TUNING.largest_turn_rad
 
 # Variances along the direction in which the position is least determined: by noise alone, and for residuals that are
 # alike within a block, without and with uneven light.
@@ -238,7 +230,7 @@ def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, sha
     state[3] += rhs[size + 2]
     state[4] += rhs[size + 3]
     if order == kernel.STATE:
-        state[2] += min(max(rhs[size + 4], -LARGEST_TURN_RAD), LARGEST_TURN_RAD)
+        state[2] += min(max(rhs[size + 4], -kernel.LARGEST_TURN_RAD), kernel.LARGEST_TURN_RAD)
     for k in range(TERMS):
         light[k] += rhs[size + order + k]
 
@@ -325,7 +317,11 @@ def reconsider(
     """
     before, result[kernel.LIGHT] = result[kernel.LIGHT], 0.0
     chi2, area = result[kernel.CHI2], template.support.size / template.oversampling**2
-    if not (result[kernel.CONVERGED] == 1.0 and area >= LEAST_AREA_PX and (chi2 > POOR_CHI2 or before > 0.0)):
+    if not (
+        result[kernel.CONVERGED] == 1.0
+        and area >= LEAST_AREA_PX
+        and (chi2 > kernel.GOOD_CHI2 or before > 0.0)
+    ):
         return
     state, weak, variances = result[: kernel.STATE].copy(), np.empty(2), np.zeros(3)
     least, order = 1.0 if before > 0.0 else WORTHWHILE, 5 if with_angle else 4
@@ -334,7 +330,7 @@ def reconsider(
         return
     wanted = (LEAST_REDUCTION - reduced / chi2) / (LEAST_REDUCTION - FULL_REDUCTION)
     # Written so that NaN is none, too.
-    wanted = min(wanted, 1.0) if wanted > 0.0 and chi2 > POOR_CHI2 else 0.0
+    wanted = min(wanted, 1.0) if wanted > 0.0 and chi2 > kernel.GOOD_CHI2 else 0.0
     share = before + (wanted - before) / MEMORY
     change = weak[0] * (state[0] - result[0]) + weak[1] * (state[1] - result[1])
     if share > LEAST_SHARE:
