@@ -100,11 +100,11 @@ class BeamModes:
         return str(self.to_dataframe().to_html(index=False))
 
 
-def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None) -> BeamModes:
+def beam_modes(beam: AncfBeam, count: int) -> BeamModes:
     """Lowest `count` bending modes: ``K(q_eq) phi = omega^2 M phi``.
 
     A mode counts as bending if less than half of its strain energy is axial; axial modes, which begin in the kHz range
-    for such beams, are omitted. The equilibrium is computed when absent.
+    for such beams, are omitted.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     if not 1 <= count <= limit:
         msg = f"{beam.properties.elements} elements have 1 to {limit} bending modes, {count} were requested"
         raise ValueError(msg)
-    q = static_equilibrium(beam) if equilibrium is None else np.asarray(equilibrium, dtype=np.float64)
+    q = static_equilibrium(beam)
     state = beam.elastic(q)
     straight = decoupled(state.tangent)
     # motion along the axis of a straight beam is left out: its stiffness is seven decades higher

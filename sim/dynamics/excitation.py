@@ -177,7 +177,6 @@ def shake_and_stop(
     step_s: float,
     stop_s: float,
     output_positions_m: FloatArray,
-    output_every: int = 1,
     axial_relaxation_s: float = 1e-4,
 ) -> Trajectory | FailedSimulation:
     """Drive the clamp at the resonance of a mode, stop it suddenly, and let the beam decay.
@@ -196,7 +195,7 @@ def shake_and_stop(
         Steady amplitude of the tip relative to the base by linear theory; it determines the amplitude of the base.
     shake_s, decay_s, stop_s : float
         Duration before and after the beginning of the stop, and of the stop.
-    step_s, output_positions_m, output_every, axial_relaxation_s :
+    step_s, output_positions_m, axial_relaxation_s :
         As in `simulate`; the stop excites axial waves that the steps do not resolve.
 
     Raises
@@ -231,7 +230,6 @@ def shake_and_stop(
         step_s=step_s,
         output_positions_m=output_positions_m,
         base=BaseMotion.sample(motion, step_s, steps),
-        output_every=output_every,
         modes=modes,
         axial_relaxation_s=axial_relaxation_s,
     )

@@ -339,16 +339,14 @@ def decaying_cantilever(
     modes: tuple[DecayingMode, ...],
     *,
     direction_rad: float = -0.5 * np.pi,
-    rest_curvature_per_mm: float = 0.0,
-    points: int = 101,
 ) -> BendingLine:
-    """Free decay of a clamped strip in some modes, from any direction and constant curvature at rest."""
+    """Free decay of a clamped strip in some modes, from any direction, straight at rest."""
 
     def angle(time_s: FloatArray, arc_mm: FloatArray) -> FloatArray:
-        turned = direction_rad + rest_curvature_per_mm * np.asarray(arc_mm)[None, :]
+        turned = np.full((1, np.size(arc_mm)), direction_rad)
         for mode in modes:
             slope = cantilever_slope(mode.number, np.asarray(arc_mm) / length_mm) / length_mm
             turned = turned + mode.at(time_s)[:, None] * slope
         return np.broadcast_to(turned, (time_s.size, np.size(arc_mm)))
 
-    return BendingLine(arc_mm=np.linspace(0.0, length_mm, points), angle=angle)
+    return BendingLine(arc_mm=np.linspace(0.0, length_mm, 101), angle=angle)

@@ -152,11 +152,11 @@ class PointMassPosterior:
         at = self._log_density(np.array([position_m]), np.array([mass_kg]))
         return float(np.mean(density > at))
 
-    def regions(self, level: float = INTERVAL_LEVEL) -> tuple[Region, ...]:
-        """Smallest set of places with the probability `level`, its connected parts in order of probability."""
+    def regions(self) -> tuple[Region, ...]:
+        """Smallest set of places with the probability 90 %, its connected parts in order of probability."""
         order = np.argsort(-self.weight / self.cell_m, kind="stable")
         inside = np.zeros(order.size, dtype=np.bool_)
-        inside[order[: 1 + int(np.searchsorted(np.cumsum(self.weight[order]), level))]] = True
+        inside[order[: 1 + int(np.searchsorted(np.cumsum(self.weight[order]), INTERVAL_LEVEL))]] = True
         edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
         place, mass = self.draws
         found = []

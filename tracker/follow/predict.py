@@ -8,13 +8,13 @@ import numpy as np
 from numba import njit
 
 from tracker.acceptance import AHEAD
-from tracker.acceptance import TUNING as PREDICTION
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import BoolArray, FloatArray, IntArray
 
 # Frozen into compiled code.
-NEWEST_SHARE = PREDICTION.newest_share
-LARGEST_ERROR_PX = PREDICTION.largest_error_px
-LONGEST_EXTRAPOLATION = PREDICTION.longest_extrapolation
+NEWEST_SHARE = ACCEPTANCE.newest_share
+LARGEST_ERROR_PX = ACCEPTANCE.largest_error_px
+LONGEST_EXTRAPOLATION = ACCEPTANCE.longest_extrapolation
 
 # The parabola through three positions at the four times before them, the latest first.
 BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [15.0, -24.0, 10.0]])

@@ -12,8 +12,7 @@ from tracker.checks import Failure
 from tracker.line import kernel
 from tracker.line.follower import Fit, FoundPath, LineFollower, centred, find_path, straightened
 from tracker.line.light import learned_light
-from tracker.line.model import TUNING as CURVE
-from tracker.line.model import TUNING as ENDS
+from tracker.line.model import TUNING as MODEL
 from tracker.line.model import Centreline, CurveAt, LineModel, learned_background, resampled, smoothed
 from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
 
@@ -125,9 +124,9 @@ def calibrate_line(
     # Beyond the end of a strip the path wanders.
     weights = np.clip(path.contrast / np.median(path.contrast), 0.01, 1.0) ** 2
     rough = curve.points + path.offsets_px[:, None] * curve.normals
-    rough = centred(images[0], smoothed(rough, weights, CURVE.least_wide_splines), path, TUNING.flank_px)
+    rough = centred(images[0], smoothed(rough, weights, MODEL.least_wide_splines), path, TUNING.flank_px)
     points, length_px = resampled(
-        _to_the_ends(smoothed(rough, weights, CURVE.most_wide_splines)), TUNING.polyline
+        _to_the_ends(smoothed(rough, weights, MODEL.most_wide_splines)), TUNING.polyline
     )
     points, length_px, tip_seen = _to_the_end(images[0], points, length_px, path)
     back, length_px, clamp_seen = _to_the_end(images[0], points[::-1], length_px, path)
@@ -158,8 +157,8 @@ def _to_the_ends(points_px: FloatArray) -> FloatArray:
 def _without_ends(points_px: FloatArray, length_px: float) -> tuple[FloatArray, float]:
     """The line without two px at both ends, where lens and clamp change the profile."""
     arc = np.linspace(0.0, length_px, len(points_px))
-    at = np.linspace(ENDS.inset_px, length_px - ENDS.inset_px, TUNING.polyline)
-    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * ENDS.inset_px
+    at = np.linspace(MODEL.inset_px, length_px - MODEL.inset_px, TUNING.polyline)
+    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * MODEL.inset_px
 
 
 def _to_the_end(

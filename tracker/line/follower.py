@@ -12,7 +12,6 @@ from numba import njit
 from tracker import flags
 from tracker.acceptance import AHEAD
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.acceptance import TUNING as PREDICTION
 from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage, IntArray
 from tracker.line import kernel
 from tracker.line import stations as line_kernels
@@ -331,7 +330,7 @@ class LineFollower:
     def _predicted(self) -> FloatArray:
         """The next line, as predicted by what was the best of late."""
         # After a long loss, the line is expected where it was last.
-        usable = self._predictions() if self._lost <= PREDICTION.longest_extrapolation else 1
+        usable = self._predictions() if self._lost <= ACCEPTANCE.longest_extrapolation else 1
         best = int(np.argmin(self._error[:usable]))
         coefs: FloatArray = np.empty_like(self._past[0])
         line_kernels.weighted(self._ahead[best], self._past, coefs)
@@ -363,7 +362,7 @@ class LineFollower:
                 if self._known >= LINES:
                     line_kernels.learn_recursion(self._past, coefs, *self._recursion, self._ahead[LEARNED])
             self._known = (
-                min(self._known + 1, LINES + 1) if self._lost <= PREDICTION.longest_extrapolation else 1
+                min(self._known + 1, LINES + 1) if self._lost <= ACCEPTANCE.longest_extrapolation else 1
             )
             self._lost = 0
         self._past[1:] = self._past[:-1]

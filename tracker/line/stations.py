@@ -10,7 +10,6 @@ from numba import njit
 from numba.extending import register_jitable
 
 from tracker.acceptance import TUNING as ACCEPTANCE
-from tracker.acceptance import TUNING as PREDICTION
 from tracker.arrays import MAD_TO_SD, BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.kernel import solve_in_place
@@ -50,8 +49,8 @@ TUNING = Tuning()
 LEAST_CORRELATION = ACCEPTANCE.least_correlation
 GOOD_CHI2 = ACCEPTANCE.good_chi2
 LEAST_SIGNAL = ACCEPTANCE.least_signal
-NEWEST_SHARE = PREDICTION.newest_share
-LARGEST_ERROR_PX = PREDICTION.largest_error_px
+NEWEST_SHARE = ACCEPTANCE.newest_share
+LARGEST_ERROR_PX = ACCEPTANCE.largest_error_px
 LARGEST_GAIN_RATIO = ACCEPTANCE.largest_gain_ratio
 LEAST_SEEN = TUNING.least_seen
 OFF_LINE_PX = TUNING.off_line_px
