@@ -29,7 +29,6 @@ FlagArray: TypeAlias = NDArray[np.uint32]
 # one decoded frame, shape (height, width), rows from the top
 GrayImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-
 # Standard deviation of a normal density over its median modulus, and the inverse; each is rounded by itself.
 MAD_TO_SD = 1.4826
 MEDIAN_MODULUS = 0.6745

@@ -21,6 +21,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Tuning:
+    """Which times are those of a rate."""
+
+    #: [steps] largest distance of a time from that of the rate
+    #: convention: A thousandth of a sample shifts a phase by less than 0.2 degrees.
+    uneven: float = 1e-3
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
 class Column:
     """One column of a table.
 
@@ -69,18 +81,6 @@ def dataset(*parts: Mapping[str, Any]) -> xarray.Dataset:
         msg = "to_xarray needs xarray; install it with pip install xarray"
         raise ImportError(msg) from error
     return xarray.Dataset(*parts)
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Which times are those of a rate."""
-
-    #: [steps] largest distance of a time from that of the rate
-    #: convention: A thousandth of a sample shifts a phase by less than 0.2 degrees.
-    uneven: float = 1e-3
-
-
-TUNING = Tuning()
 
 
 def signals_of(

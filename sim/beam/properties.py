@@ -10,6 +10,45 @@ import numpy as np
 
 from tracker import FloatArray, checked
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Properties beyond which a value is taken to be in another unit."""
+
+    #: [kg/m3] a smaller density is refused
+    #: physics: Foams for models begin there.
+    least_density: float = 10.0
+    #: [kg/m3] a larger density is refused
+    #: physics: The densest metals end at 22 600 kg/m3.
+    most_density: float = 30_000.0
+    #: [MPa] a smaller modulus is refused
+    #: physics: Soft rubber has 0.1 MPa.
+    least_modulus: float = 1e-3
+    #: [MPa] a larger modulus is refused
+    #: physics: Diamond has 1.2e6 MPa.
+    most_modulus: float = 2e6
+    #: [kg/m3] from this density on the modulus is at least `softest_dense`
+    #: physics: No material that is denser than light metals is softer.
+    dense: float = 2500.0
+    #: [MPa] a smaller modulus of a dense material is refused
+    #: physics: As for `dense`.
+    softest_dense: float = 1000.0
+    #: [thicknesses] a shorter beam is refused
+    #: physics: It is no thin beam.
+    least_length: float = 3.0
+    #: [thicknesses] a longer beam is refused
+    #: physics: A tape of 1 m and 0.01 mm has 1e5.
+    most_length: float = 3e5
+    #: [thicknesses] a narrower beam is refused
+    #: physics: It bends in the other plane.
+    least_width: float = 0.05
+    #: [thicknesses] a wider beam is refused
+    #: physics: A foil of 0.3 m and 0.01 mm has 3e4.
+    most_width: float = 3e4
+
+
+TUNING = Tuning()
+
 Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 End = Literal["clamped", "pinned", "free", "guided"]
 STANDARD_GRAVITY_M_S2 = 9.80665
@@ -233,45 +272,6 @@ def _positive_array(name: str, values: FloatArray) -> FloatArray:
         raise ValueError(msg)
     array.setflags(write=False)
     return array
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Properties beyond which a value is taken to be in another unit."""
-
-    #: [kg/m3] a smaller density is refused
-    #: physics: Foams for models begin there.
-    least_density: float = 10.0
-    #: [kg/m3] a larger density is refused
-    #: physics: The densest metals end at 22 600 kg/m3.
-    most_density: float = 30_000.0
-    #: [MPa] a smaller modulus is refused
-    #: physics: Soft rubber has 0.1 MPa.
-    least_modulus: float = 1e-3
-    #: [MPa] a larger modulus is refused
-    #: physics: Diamond has 1.2e6 MPa.
-    most_modulus: float = 2e6
-    #: [kg/m3] from this density on the modulus is at least `softest_dense`
-    #: physics: No material that is denser than light metals is softer.
-    dense: float = 2500.0
-    #: [MPa] a smaller modulus of a dense material is refused
-    #: physics: As for `dense`.
-    softest_dense: float = 1000.0
-    #: [thicknesses] a shorter beam is refused
-    #: physics: It is no thin beam.
-    least_length: float = 3.0
-    #: [thicknesses] a longer beam is refused
-    #: physics: A tape of 1 m and 0.01 mm has 1e5.
-    most_length: float = 3e5
-    #: [thicknesses] a narrower beam is refused
-    #: physics: It bends in the other plane.
-    least_width: float = 0.05
-    #: [thicknesses] a wider beam is refused
-    #: physics: A foil of 0.3 m and 0.01 mm has 3e4.
-    most_width: float = 3e4
-
-
-TUNING = Tuning()
 
 
 def unit_problems(

@@ -20,6 +20,49 @@ from tracker import ComplexArray, Failure, FloatArray
 
 
 @dataclass(frozen=True)
+class Tuning:
+    """Matching modes, steps of the simulations, correction of the initial state, windows of envelope and phase."""
+
+    #: [s] longest step for differences between simulations, whose common error of the step cancels
+    #: measurement: Bands move by less than 2 % of their width against 0.5 ms (tests/sim/comparison/test_bands.py).
+    longest_coarse_step_s: float = 4e-3
+    #: [1] the initial coordinate is corrected from the part of the decay above this share of its amplitude
+    #: convention: The part that the nonlinearity shapes and the damping model has not yet bent; chosen.
+    start_share: float = 0.3
+    #: [1] correction of the initial coordinate, over it, below which it is left
+    #: physics: 0.2 % of the amplitude is a fifth of the sample's noise at a hundredth.
+    smallest_correction: float = 2e-3
+    #: [sd] correction below this many standard deviations is left
+    #: statistics: The square of a complex number over its variance: exp(-9), one decay in 8000 without an error, is
+    #: corrected.
+    sure: float = 3.0
+    #: [1] rounds of corrections
+    corrections: int = 4
+    #: [rad] change of the phase at the end of the record below which the frequency has converged
+    #: physics: Moves a sample by a thousandth of the amplitude at that time, below the noise.
+    in_phase_rad: float = 1e-3
+    #: [lengths] amplitude of the tip above which the initial state is corrected
+    #: physics: 10 mm of 500: the tip of mode 1 turns by 1.4 times that, 0.03 rad, and its cosine differs from 1 by
+    #: 4e-4.
+    large_motion: float = 0.02
+    #: [sd] slope of the damping ratio above which the damping varies with amplitude
+    #: statistics: 0.27 % of decays with constant damping exceed it.
+    changes: float = 3.0
+    #: [1] relative distance in frequency within which a mode without a number matches one of the beam
+    #: physics: Covers errors of thickness of 15 %; modes 1 to 5 of a cantilever lie a factor of 1.65 or more apart.
+    near: float = 0.15
+    #: [periods] shortest window of envelope and phase
+    #: convention: Whole periods make the offset orthogonal to the sine; two for a stable fit. Chosen.
+    periods: int = 2
+    #: [1] samples of a window at least, half of which must be known
+    #: physics: Four times the three unknowns of a window.
+    samples: int = 12
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
 class MatchedModes:
     """Identified modes that match modes of the beam, in the state at the beginning of the fit.
 
@@ -186,49 +229,6 @@ def _amplitudes(
         cosine, sine, _ = np.linalg.lstsq(columns, values[inside], rcond=None)[0]
         found.append(complex(cosine, sine))
     return np.array(found, dtype=np.complex128)
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Matching modes, steps of the simulations, correction of the initial state, windows of envelope and phase."""
-
-    #: [s] longest step for differences between simulations, whose common error of the step cancels
-    #: measurement: Bands move by less than 2 % of their width against 0.5 ms (tests/sim/comparison/test_bands.py).
-    longest_coarse_step_s: float = 4e-3
-    #: [1] the initial coordinate is corrected from the part of the decay above this share of its amplitude
-    #: convention: The part that the nonlinearity shapes and the damping model has not yet bent; chosen.
-    start_share: float = 0.3
-    #: [1] correction of the initial coordinate, over it, below which it is left
-    #: physics: 0.2 % of the amplitude is a fifth of the sample's noise at a hundredth.
-    smallest_correction: float = 2e-3
-    #: [sd] correction below this many standard deviations is left
-    #: statistics: The square of a complex number over its variance: exp(-9), one decay in 8000 without an error, is
-    #: corrected.
-    sure: float = 3.0
-    #: [1] rounds of corrections
-    corrections: int = 4
-    #: [rad] change of the phase at the end of the record below which the frequency has converged
-    #: physics: Moves a sample by a thousandth of the amplitude at that time, below the noise.
-    in_phase_rad: float = 1e-3
-    #: [lengths] amplitude of the tip above which the initial state is corrected
-    #: physics: 10 mm of 500: the tip of mode 1 turns by 1.4 times that, 0.03 rad, and its cosine differs from 1 by
-    #: 4e-4.
-    large_motion: float = 0.02
-    #: [sd] slope of the damping ratio above which the damping varies with amplitude
-    #: statistics: 0.27 % of decays with constant damping exceed it.
-    changes: float = 3.0
-    #: [1] relative distance in frequency within which a mode without a number matches one of the beam
-    #: physics: Covers errors of thickness of 15 %; modes 1 to 5 of a cantilever lie a factor of 1.65 or more apart.
-    near: float = 0.15
-    #: [periods] shortest window of envelope and phase
-    #: convention: Whole periods make the offset orthogonal to the sine; two for a stable fit. Chosen.
-    periods: int = 2
-    #: [1] samples of a window at least, half of which must be known
-    #: physics: Four times the three unknowns of a window.
-    samples: int = 12
-
-
-TUNING = Tuning()
 
 
 @dataclass(frozen=True)

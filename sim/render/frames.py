@@ -17,6 +17,18 @@ from sim.render.strip import BareStrip, StripImage
 from tracker import FloatArray, checked
 
 
+@dataclass(frozen=True)
+class Tuning:
+    """Memory."""
+
+    #: [frames] frames whose poses are evaluated at a time
+    #: convention: Enough for an efficient call, little memory; results do not depend on it.
+    block: int = 64
+
+
+TUNING = Tuning()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Strip:
     """The beam behind markers: a polyline of constant width and brightness, hidden where a marker covers it.
@@ -59,18 +71,6 @@ class Scene:
         if self.backdrop is not None and (self.markers or isinstance(self.strip, Strip)):
             msg = "a backdrop is rendered behind a bare strip without markers only; leave out the backdrop"
             raise ValueError(msg)
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Memory."""
-
-    #: [frames] frames whose poses are evaluated at a time
-    #: convention: Enough for an efficient call, little memory; results do not depend on it.
-    block: int = 64
-
-
-TUNING = Tuning()
 
 
 def render_frames(

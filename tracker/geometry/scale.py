@@ -15,6 +15,47 @@ import scipy  # its parts are loaded when they are used
 from tracker.arrays import FloatArray
 from tracker.geometry.lens import Lens, undistort, undistortion_jacobian
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Errors of scales, when they are reported, and when points determine a plane."""
+
+    #: [1] relative sd of a printed size
+    #: convention: printers and calipers are no better
+    size_relative_sd: float = 0.005
+    #: [px] error of a fitted size where a model separates blur and size
+    size_sd_px: float = 0.05
+    #: [px] the same of a size measured by a detector alone
+    rough_size_sd_px: float = 0.5
+    #: [1] relative difference of two scales that is reported
+    #: convention: chosen; a note changes no result
+    disagreement: float = 0.1
+    #: [1] relative difference of nominally equal markers that is reported
+    #: convention: chosen; a note changes no result
+    sizes_differ: float = 0.05
+    #: [sd] and in standard deviations of a size
+    #: statistics: noise alone exceeds it in one pair of 16 000
+    sizes_differ_sd: float = 4.0
+    #: [1] a view is oblique when scales differ by more than this share
+    oblique: float = 0.01
+    #: [sd] and by this many standard deviations
+    #: statistics: noise alone never does
+    oblique_sd: float = 5.0
+    #: [mm] plausible extent of a beam in the image, at least
+    #: convention: sizes given in metres fall outside
+    least_view_mm: float = 5.0
+    #: [mm] the same, at most
+    #: convention: sizes given in micrometres fall outside
+    largest_view_mm: float = 20_000.0
+    #: [mm] accuracy of two markers' places along the beam
+    #: convention: two leave no residual: that of a ruler and a hand is assumed
+    placing_mm: float = 0.5
+    #: [1] points closer to a line than this share of their extent do not determine the plane
+    least_breadth: float = 0.05
+
+
+TUNING = Tuning()
+
 LEAST_POINTS = 4
 
 
@@ -217,47 +258,6 @@ def median_over_time(values: FloatArray) -> FloatArray:
         return float(np.median(seen)) if seen.size else float("nan")
 
     return np.asarray(np.apply_along_axis(median, 0, values))
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Errors of scales, when they are reported, and when points determine a plane."""
-
-    #: [1] relative sd of a printed size
-    #: convention: printers and calipers are no better
-    size_relative_sd: float = 0.005
-    #: [px] error of a fitted size where a model separates blur and size
-    size_sd_px: float = 0.05
-    #: [px] the same of a size measured by a detector alone
-    rough_size_sd_px: float = 0.5
-    #: [1] relative difference of two scales that is reported
-    #: convention: chosen; a note changes no result
-    disagreement: float = 0.1
-    #: [1] relative difference of nominally equal markers that is reported
-    #: convention: chosen; a note changes no result
-    sizes_differ: float = 0.05
-    #: [sd] and in standard deviations of a size
-    #: statistics: noise alone exceeds it in one pair of 16 000
-    sizes_differ_sd: float = 4.0
-    #: [1] a view is oblique when scales differ by more than this share
-    oblique: float = 0.01
-    #: [sd] and by this many standard deviations
-    #: statistics: noise alone never does
-    oblique_sd: float = 5.0
-    #: [mm] plausible extent of a beam in the image, at least
-    #: convention: sizes given in metres fall outside
-    least_view_mm: float = 5.0
-    #: [mm] the same, at most
-    #: convention: sizes given in micrometres fall outside
-    largest_view_mm: float = 20_000.0
-    #: [mm] accuracy of two markers' places along the beam
-    #: convention: two leave no residual: that of a ruler and a hand is assumed
-    placing_mm: float = 0.5
-    #: [1] points closer to a line than this share of their extent do not determine the plane
-    least_breadth: float = 0.05
-
-
-TUNING = Tuning()
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,43 @@ from numpy.typing import NDArray
 from tracker.arrays import BoolArray, GrayImage
 from tracker.video.source import Frame, SourceInfo
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Blocks that depart for a single picture."""
+
+    #: [1] one row in this many is used for the means
+    #: convention: enough for a mean over a block
+    row_step: int = 4
+    #: [1] multiple of its largest recent step by which the mean of a block departs
+    factor: float = 4.0
+    #: [1] and share of white
+    #: convention: coarse quantisation changes it by a few gray levels where nothing happens
+    least: float = 0.02
+    #: [1] of the largest recent step, per frame
+    #: convention: a block that a vibration crosses is not static: a step is forgotten over hundreds of frames
+    memory: float = 0.995
+    #: [frames] from which the usual steps are known
+    #: convention: all but the two largest, which a damaged one causes
+    first: int = 9
+    #: [blocks] that must depart
+    least_blocks: int = 8
+    #: [1] of the image above which it is the light
+    most_blocks: float = 0.9
+    #: [1] of these blocks that must return
+    returned: float = 0.8
+    #: [1] of the mean change, by which the outermost pixels of blocks change more
+    #: convention: no object ends at the edges of coded blocks
+    within: float = 0.5
+    #: [1] of theirs, by which the pixels beyond change less
+    #: convention: as above
+    beyond: float = 0.25
+    #: [frames] without image at the start after which nothing is learned any more
+    most_waiting: int = 64
+
+
+TUNING = Tuning()
+
 # Name of FFmpeg's demultiplexer of the files that have edit lists.
 MP4_FORMAT = "mov,mp4,m4a,3gp,3g2,mj2"
 
@@ -84,42 +121,6 @@ def _shown_packets(path: Path, stream_index: int, options: dict[str, str]) -> fr
                 shown.add(int(packet.pos))
     return frozenset(shown)
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """Blocks that depart for a single picture."""
-
-    #: [1] one row in this many is used for the means
-    #: convention: enough for a mean over a block
-    row_step: int = 4
-    #: [1] multiple of its largest recent step by which the mean of a block departs
-    factor: float = 4.0
-    #: [1] and share of white
-    #: convention: coarse quantisation changes it by a few gray levels where nothing happens
-    least: float = 0.02
-    #: [1] of the largest recent step, per frame
-    #: convention: a block that a vibration crosses is not static: a step is forgotten over hundreds of frames
-    memory: float = 0.995
-    #: [frames] from which the usual steps are known
-    #: convention: all but the two largest, which a damaged one causes
-    first: int = 9
-    #: [blocks] that must depart
-    least_blocks: int = 8
-    #: [1] of the image above which it is the light
-    most_blocks: float = 0.9
-    #: [1] of these blocks that must return
-    returned: float = 0.8
-    #: [1] of the mean change, by which the outermost pixels of blocks change more
-    #: convention: no object ends at the edges of coded blocks
-    within: float = 0.5
-    #: [1] of theirs, by which the pixels beyond change less
-    #: convention: as above
-    beyond: float = 0.25
-    #: [frames] without image at the start after which nothing is learned any more
-    most_waiting: int = 64
-
-
-TUNING = Tuning()
 
 # Side of a coded block of JPEG and its kin, in px.
 BLOCK_PX = 8
