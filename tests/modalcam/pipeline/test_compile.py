@@ -90,7 +90,7 @@ def test_each_group_lists_what_it_calls(called):
 @pytest.mark.timeout(900)
 def test_a_run_of_the_sample_videos_needs_no_other_kernel(samples_run):
     found = kernels((samples_run.parent / "kernels.txt").read_text(encoding="utf-8"))
-    assert {"batch.follow_plain", "march.march", "reduction.chi_square_of"} <= found
+    assert {"fits.follow_plain", "march.march", "reduction.chi_square_of"} <= found
     more = found - listed(MARKERS, SIMULATION, DIVISION, DECAYS, FILMS)
     assert not more, f"the groups of modalcam/pipeline/compile.py must compile and list {sorted(more)}"
 
