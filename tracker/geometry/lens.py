@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -154,6 +153,8 @@ def calibrate_lens(
     and independent errors of the corners. If all views are parallel to the sensor the focal length is undetermined: its
     sd is then large.
     """
+    import cv2  # noqa: PLC0415 - slow to load, and settings hold a lens
+
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), board.square_mm, board.marker_mm, book)
     detector = cv2.aruco.CharucoDetector(drawn)
@@ -195,6 +196,8 @@ def _fit(
     objects: list[Any], points: list[Any], size: tuple[int, int]
 ) -> tuple[Lens, tuple[float, ...], FloatArray]:
     """The lens, the sd of its parameters, and the rms error of each view in px."""
+    import cv2  # noqa: PLC0415 - as above
+
     # Without wide-angle images k3 only absorbs noise of k1 and k2.
     rms, camera, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
         objects, points, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
