@@ -15,7 +15,6 @@ from typing import Any
 
 import av
 import av.error
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -206,6 +205,8 @@ class _Background:
 
 def block_means(image: GrayImage) -> Means:
     """Means of all complete blocks of an image, each over some of its rows."""
+    import cv2  # noqa: PLC0415 - slow to load, and a run that is up to date decodes nothing
+
     rows, cols = (max(size // BLOCK_PX, 1) for size in image.shape)
     part = image[: rows * BLOCK_PX : TUNING.row_step, : cols * BLOCK_PX]
     return np.asarray(cv2.resize(part, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
@@ -213,6 +214,8 @@ def block_means(image: GrayImage) -> Means:
 
 def ends_at_blocks(departed: BoolArray, before: GrayImage, image: GrayImage) -> bool:
     """Whether the change of an image ends at the edges of blocks, by the lines of pixels on both sides of these."""
+    import cv2  # noqa: PLC0415 - as above
+
     rows, cols = departed.shape
     change = cv2.absdiff(before, image)[: rows * BLOCK_PX, : cols * BLOCK_PX].astype(np.float32)
     blocks = change.reshape(rows, BLOCK_PX, cols, BLOCK_PX)
