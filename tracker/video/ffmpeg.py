@@ -34,7 +34,7 @@ from tracker.video.source import (
     read_head,
     unreadable,
 )
-from tracker.video.unused_frames import EditList
+from tracker.video.unused_frames import EditList, without_departures
 
 
 @dataclass(frozen=True)
@@ -205,9 +205,6 @@ class VideoSource:
 
     def frames(self) -> Iterator[Frame]:
         """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""
-        # OpenCV, which a run without changes does not need
-        from tracker.video.unused_frames import without_departures  # noqa: PLC0415
-
         alone = not (self.info.predictive or self._has_check_sums or self.info.codec == "rawvideo")
         return without_departures(self._decoded(), self.info.white_level) if alone else self._decoded()
 
