@@ -11,7 +11,7 @@ from modal_id.data import are_many
 from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.numbering import possible_aliases
-from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode, left_at_mode
+from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode
 from modal_id.results import AmplitudeDependence
 from modal_id.sentences import Note
 from modal_id.settings import IdentifySettings
@@ -97,7 +97,7 @@ def severities(
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
     if ModeFlag.NOT_CONFIRMED in found and not weak:
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
-    if ModeFlag.RESIDUAL_AT_MODE in found and left_at_mode(mode.dependence) < TUNING.far_too_much_left:
+    if ModeFlag.RESIDUAL_AT_MODE in found and mode.residual_power < TUNING.far_too_much_left:
         found[ModeFlag.RESIDUAL_AT_MODE] = Severity.INTERVAL
     return tuple((flag.name, severity.name) for flag, severity in found.items())
 
@@ -156,7 +156,7 @@ def mode_flags(
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
         ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < TUNING.above_zero * _sd_below(mode),
-        ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
+        ModeFlag.RESIDUAL_AT_MODE: mode.residual_power > MUCH_LEFT,
         ModeFlag.ALIASED_POSSIBLE: at_nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
         ModeFlag.MANY_OUTLIERS: are_many(outliers),

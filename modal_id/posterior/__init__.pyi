@@ -2,7 +2,6 @@ from .cramer_rao import ModalBound as ModalBound
 from .cramer_rao import modal_bound as modal_bound
 from .dependence import LITTLE_DECAY as LITTLE_DECAY
 from .dependence import MUCH_LEFT as MUCH_LEFT
-from .dependence import left_at_mode as left_at_mode
 from .likelihood import TiledLikelihood as TiledLikelihood
 from .likelihood import reduce_mode as reduce_mode
 from .mode_posterior import SampledMode as SampledMode

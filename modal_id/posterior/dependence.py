@@ -31,6 +31,16 @@ class Tuning:
     #: [1] prior sd of the change of the frequency from small amplitude to that at the start, over the frequency
     #: measurement: The sample beam's modes 2 to 5 fall by 1e-4, a strip of 400 mm at 2 mm in mode 2 by 3e-5.
     frequency_prior: float = 1e-3
+    #: [decay times] length of the stretch in which the residual of a mode without a curve is compared with the noise
+    #: physics: It contains 99.8 % of the energy of the mode.
+    decay_times: float = 3.0
+    #: [cycles] the same, at least
+    least_cycles: float = 2.0
+    #: [bins] of 1 / length on either side of the mode
+    #: statistics: The power of seven bins of noise exceeds four times its mean once in a million records.
+    bins: int = 3
+    #: [1] number of such stretches in the record, at least
+    least_stretches: int = 4
 
 
 TUNING = Tuning()
@@ -99,15 +109,41 @@ def find_dependence(
     )
 
 
-def left_at_mode(dependence: AmplitudeDependence | None) -> float:
-    """Residual power at the mode relative to the noise, NaN without a curve.
+def left_at_mode(
+    own: ModalFit, amplitude_fit: AmplitudeFit | None, dependence: AmplitudeDependence | None
+) -> float:
+    """Residual power at the mode relative to the noise.
 
-    That of the curve where the dependence is significant, else that of constant values.
+    That of the curve where the dependence is significant, else that of constant values. Without a curve, that of the
+    first decay times about the frequency of the mode over that of later stretches as long: what a strongly damped mode
+    leaves vanishes in the noise of a long record. NaN where fewer than four such stretches fit into the record.
     """
-    if dependence is None or dependence.curve is None:
+    significant = dependence is not None and dependence.significant
+    if dependence is not None and dependence.curve is not None:
+        curve = dependence.curve
+        return curve.residual_power if significant else curve.constant_residual_power
+    linear = own.fit.linear if amplitude_fit is None or not significant else amplitude_fit.linear
+    data, pole = own.data, complex(own.fit.poles[0])
+    hz = abs(pole.imag) / (2.0 * np.pi)
+    length_s = max(TUNING.decay_times / max(-pole.real, 1e-300), TUNING.least_cycles / max(hz, 1e-300))
+    count = int(data.span_s / length_s)
+    if count < TUNING.least_stretches:
         return float("nan")
-    curve = dependence.curve
-    return curve.residual_power if dependence.significant else curve.constant_residual_power
+    bins_hz = hz + np.arange(-TUNING.bins, TUNING.bins + 1) / length_s
+    weights = data.weights / linear.noise_variance
+    edges = np.searchsorted(data.time_s, data.time_s[0] + length_s * np.arange(count))
+    power = np.zeros(count)
+    for bin_hz in bins_hz[bins_hz > 0.5 / length_s]:
+        wave = np.exp(-2j * np.pi * bin_hz * data.time_s)
+        scores = np.add.reduceat(weights * linear.residual * wave[:, None], edges)
+        power += np.sum(np.abs(scores) ** 2, axis=1)
+    information = np.sum(np.add.reduceat(weights, edges), axis=1)
+    relative = power[information > 0.0] / information[information > 0.0]
+    return (
+        float(relative[0] / np.median(relative[1:]))
+        if relative.size >= TUNING.least_stretches
+        else float("nan")
+    )
 
 
 def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:

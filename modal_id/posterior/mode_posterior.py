@@ -67,6 +67,8 @@ class DeterminedMode:
     extrapolation : tuple of float
         As `Posterior.small_amplitude_shift_hz`, `Posterior.extrapolation_frequency_hz` and
         `Posterior.extrapolation_damping_ratio`.
+    residual_power : float
+        As `left_at_mode` returns it.
     """
 
     frequency_hz: float
@@ -75,15 +77,20 @@ class DeterminedMode:
     density: PoleDensity
     systematic: tuple[float, float]
     extrapolation: tuple[float, float, float]
+    residual_power: float
 
 
 @dataclass(frozen=True)
 class SampledMode:
-    """Posterior of one mode, its amplitude dependence, and whether the sampler met its autocorrelation criterion."""
+    """Posterior of one mode, its amplitude dependence, whether the sampler met its autocorrelation criterion.
+
+    ``residual_power`` is from `left_at_mode`.
+    """
 
     posterior: Posterior
     dependence: AmplitudeDependence | None
     long_enough: bool
+    residual_power: float
 
 
 def sample_modes(
@@ -143,7 +150,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         small_amplitude_shift_hz=found.extrapolation[0],
         extrapolation_frequency_hz=found.extrapolation[1],
     )
-    return SampledMode(posterior, found.dependence, draws.long_enough)
+    return SampledMode(posterior, found.dependence, draws.long_enough, found.residual_power)
 
 
 def _undetermined(frequency_hz: float, frequencies_hz: FloatArray, zetas: FloatArray) -> FailedMode | None:
@@ -184,19 +191,27 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     inflation = float(np.sqrt(1.0 + repeating[1, 1] / (covariance[1, 1] * noise.factor**2)))
     inflated = replace(noise, factor=noise.factor * inflation)
     dependence = find_dependence(model, own, amplitude_fit, inflated, index, repeating_sd)
-    noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
-    extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
+    residual_power = left_at_mode(own, amplitude_fit, dependence)
+    if dependence is not None and dependence.curve is None and residual_power > MUCH_LEFT:
+        dependence = dependence.doubted(frequency, zeta)
+    extra = _systematic(pole, model.data.span_s, dependence, model.unresolved_near(index))
+    if residual_power > MUCH_LEFT:
+        # The noise factor is that of the noise beside the mode.
+        more = noise.factor * float(np.sqrt(residual_power - 1.0))
+        extra = (
+            float(np.hypot(extra[0], more * sd[0] / (2.0 * np.pi))),
+            float(np.hypot(extra[1], more * sd[1])),
+        )
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
     left = min(float(np.exp(pole.real * model.data.span_s)), 1.0)
     beyond = *frequency_limit(frequency, left, dependence), damping_limit_sd(abs(zeta), left, dependence)
-    return DeterminedMode(frequency, covariance, dependence, density, extra, beyond)
+    return DeterminedMode(frequency, covariance, dependence, density, extra, beyond, residual_power)
 
 
 def _systematic(
     pole: complex,
     span_s: float,
     dependence: AmplitudeDependence | None,
-    noise_sd: tuple[float, float],
     pair: ComplexArray | None,
 ) -> tuple[float, float]:
     """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole.
@@ -208,10 +223,6 @@ def _systematic(
     left = min(float(np.exp(pole.real * span_s)), 1.0)
     if dependence is not None and dependence.significant:
         extra = _reach(frequency, zeta, dependence)
-    elif (left_power := left_at_mode(dependence)) > MUCH_LEFT:
-        # The noise factor is that of the noise beside the mode.
-        more = float(np.sqrt(left_power - 1.0))
-        extra = (more * noise_sd[0], more * noise_sd[1])
     if pair is not None:
         apart = np.abs(frequency_hz(pair) - frequency), np.abs(damping_ratio(pair) - zeta)
         extra = (max(extra[0], float(np.max(apart[0]))), max(extra[1], float(np.max(apart[1]))))
