@@ -5,10 +5,10 @@ from .amplitude_dependence import nonlinear_decay as nonlinear_decay
 from .amplitude_dependence import with_constant_pole as with_constant_pole
 from .damped import MAX_DAMPING as MAX_DAMPING
 from .modal_fit import ModalFit as ModalFit
+from .modal_fit import own_decay as own_decay
 from .model_order import find_modes as find_modes
 from .model_order import refit as refit
 from .named_lines import with_named as with_named
-from .own_decay import own_decay as own_decay
 from .position_errors import Omissions as Omissions
 from .position_errors import with_rounding_errors as with_rounding_errors
 from .position_errors import with_scale_errors as with_scale_errors

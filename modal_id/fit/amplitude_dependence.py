@@ -10,8 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from modal_id.data import FitData
-from modal_id.fit.modal_fit import OWN_BAND, ModalFit
-from modal_id.fit.own_decay import own_decay
+from modal_id.fit.modal_fit import OWN_BAND, ModalFit, own_decay
 from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
 from modal_id.solve import (
     Beside,

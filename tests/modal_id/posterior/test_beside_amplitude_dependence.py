@@ -42,3 +42,15 @@ def test_a_mode_of_which_nothing_is_left_has_its_limits():
     (mode,) = identify(series_of(t, values[:, None])).modes
     frequency, sd = mode.small_amplitude_frequency
     assert abs(frequency - 10.0) < 3.0 * sd, "3 sd of a normal error"
+
+
+@pytest.mark.parametrize("slow", [0.3, 0.0])
+def test_a_misfit_of_the_first_seconds_does_not_vanish_in_a_long_record(slow):
+    # The second motion is as slow as a drift of the first may be: the baseline takes part of it.
+    t = np.arange(3000) / 7.3
+    values = decay(t, 1.843, 0.166) + decay(t, 0.662, 0.05, slow, 1.2)
+    noise = 2e-3 * np.random.default_rng(5).standard_normal(t.size)
+    found = identify(series_of(t, (values + noise)[:, None]))
+    mode = min(found.modes, key=lambda m: abs(m.frequency_hz - 1.843))
+    assert abs(mode.frequency_hz - 1.843) < 4.0 * mode.frequency_sd_hz, "the bias is part of the interval"
+    assert ("RESIDUAL_AT_MODE" in mode.flags) == (slow > 0.0)
