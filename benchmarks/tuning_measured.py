@@ -114,7 +114,9 @@ class _Readers:
             total = total.with_worse(difference(self.unchanged[part], changed))
         if not read:
             return None
-        values = {k: v if isinstance(v, int) else f"{v:.3g}" for k, v in asdict(total).items() if k in COLUMNS}
+        values = {
+            k: v if isinstance(v, int) else f"{v:.3g}" for k, v in asdict(total).items() if k in COLUMNS
+        }
         seen = text or ("none" if total.identical else "changed")
         return {
             "module": constant.module,

@@ -37,6 +37,7 @@ from modal_id.results import FittedMode, Identification, IdentifiedMode
 from modal_id.segments import (
     PRIOR,
     PRIOR_AFTER_JUMP,
+    PRIOR_BESIDE_A_DECAY,
     Decay,
     RecordParts,
     divide,
@@ -261,16 +262,18 @@ def _of_decays(
     ends_abruptly = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
     if is_driven(driven, stopped=ends_abruptly) or (part_is_driven and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
-    if may_be_driven(driven):
-        found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))
-    return replace(found, segments=segments)
+    # A drift or a hum beside the decay is steady, too.
+    doubted = [may_be_driven(max(driven, _drive_probability(mode, main))) for mode in found.modes]
+    modes = (_doubted(mode) if doubt else mode for mode, doubt in zip(found.modes, doubted, strict=True))
+    return replace(found, modes=tuple(modes), segments=segments)
 
 
 def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
-    """Probability that the target mode of a decay is a drive: 0 where the user says that the motion is free."""
+    """Probability that a mode of a decay is a drive: 0 where the user says that the motion is free."""
     if one.onset.source == "user":
         return 0.0
     prior = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
+    prior = prior if mode.target else PRIOR_BESIDE_A_DECAY
     radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
     return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 

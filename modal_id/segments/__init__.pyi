@@ -7,6 +7,7 @@ from .divide import rest_until as rest_until
 from .drive_odds import BETWEEN_SD as BETWEEN_SD
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
+from .drive_odds import PRIOR_BESIDE_A_DECAY as PRIOR_BESIDE_A_DECAY
 from .drive_odds import drive_probability as drive_probability
 from .drive_odds import held_density as held_density
 from .drive_odds import holds_a_decay as holds_a_decay

@@ -154,3 +154,17 @@ def test_a_few_cycles_that_decay_are_not_in_doubt():
     target = identify(series_of(t, y)).target
     assert "FEW_CYCLES_LOST" in target.flags
     assert "MAY_BE_DRIVEN" not in target.flags
+
+
+def test_a_hum_beside_a_decay_is_not_taken_for_a_free_mode():
+    # By chance, about half of these lines decay within their standard deviation; the others are no mode.
+    t, listed = np.arange(4000) / 500.0, 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        values = decay(t, 4.8, 0.004) + 0.05 * np.sin(2.0 * np.pi * 50.0 * t)
+        found = identify(series_of(t, (values + 0.01 * rng.standard_normal(t.size))[:, None]))
+        hum = [mode for mode in found.modes if abs(mode.frequency_hz - 50.0) < 0.1]
+        assert all("MAY_BE_DRIVEN" in mode.flags for mode in hum)
+        assert not any("MAY_BE_DRIVEN" in mode.flags for mode in found.modes if mode not in hum)
+        listed += len(hum)
+    assert listed
