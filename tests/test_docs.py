@@ -94,9 +94,7 @@ def test_other_blocks_are_valid():
         elif language == "python":
             compile(text, name, "exec")
         elif language != "sh":
-            assert NOT_CODE.match(language), (
-                f"{name}: a block in {language!r} is neither run nor named as output"
-            )
+            assert NOT_CODE.match(language), f"{name}: a block in {language!r} is neither run nor output"
         known += 1
     assert known > 15
 
@@ -195,14 +193,10 @@ def anchors(path):
 
 def test_links_between_documents_lead_somewhere():
     for path in DOCS:
-        for target, anchor in re.findall(
-            r"\]\(([^)#:\s]*)(?:#([\w-]+))?\)", path.read_text(encoding="utf-8")
-        ):
+        for target, anchor in re.findall(r"\]\(([^)#:\s]*)(?:#([\w-]+))?\)", path.read_text("utf-8")):
             found = path.parent / target if target else path
             assert found.exists(), f"{path.relative_to(ROOT)}: no {target}"
-            assert not anchor or anchor in anchors(found), (
-                f"{path.relative_to(ROOT)}: no #{anchor} in {target}"
-            )
+            assert not anchor or anchor in anchors(found), f"{path}: no #{anchor} in {target}"
 
 
 @pytest.mark.slow

@@ -33,9 +33,7 @@ pool.LocalExecutor = InThisProcess
 def examples():
     """Python and template blocks by the file name in their first line."""
     text = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
-    blocks = re.findall(
-        r"^```\w+\n(?:# |{# )([\w./]+)(?: #})?\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
-    )
+    blocks = re.findall(r"(?ms)^```\w+\n(?:# |{#)([\w./]+)(?: #})?\n(.*?)^```$", text)
     return dict(blocks)
 
 
@@ -50,12 +48,8 @@ def plugins(tmp_path):
     (folder / "quick.py").write_text(QUICK, encoding="utf-8")
     distribution = folder / "longest-1.0.dist-info"
     distribution.mkdir()
-    (distribution / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: longest\nVersion: 1.0\n", encoding="utf-8"
-    )
-    (distribution / "entry_points.txt").write_text(
-        "[modalcam.commands]\nlongest = longest\n", encoding="utf-8"
-    )
+    (distribution / "METADATA").write_text("Metadata-Version: 2.1\nName: longest\nVersion: 1.0\n", "utf-8")
+    (distribution / "entry_points.txt").write_text("[modalcam.commands]\nlongest = longest\n", "utf-8")
     return folder
 
 

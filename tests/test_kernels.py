@@ -72,6 +72,5 @@ def test_a_call_by_python_is_found():
     assert used_outside(ast.parse(code.format("inner")), {"inner"}, set()) == [("inner", 6)]
     assert used_outside(ast.parse(code.format("march.inner")), set(), {"march.inner"}) == [("march.inner", 6)]
     assert not used_outside(ast.parse(code.format("kernel")), {"inner"}, {"march.inner"})
-    assert inner_functions(
-        ast.parse("@extending.register_jitable(fastmath=True)\ndef inner():\n    pass\n")
-    ) == {"inner"}
+    code = "@extending.register_jitable(fastmath=True)\ndef inner():\n    pass\n"
+    assert inner_functions(ast.parse(code)) == {"inner"}

@@ -68,12 +68,8 @@ def test_messages_name_packages_that_an_extra_installs():
     """Those of an index: modalcam itself is on none."""
     extras = PROJECT["project"]["optional-dependencies"].values()
     known = {re.split(r"[\[>=]", text)[0] for extra in extras for text in extra} - {"modalcam"}
-    sources = [
-        path for name in ("tracker", "modal_id", "sim", "modalcam") for path in (ROOT / name).rglob("*.py")
-    ]
-    messages = [
-        re.findall(r"pip install ([\w .\[\]'-]+)", path.read_text(encoding="utf-8")) for path in sources
-    ]
+    sources = [p for name in ("tracker", "modal_id", "sim", "modalcam") for p in (ROOT / name).rglob("*.py")]
+    messages = [re.findall(r"pip install ([\w .\[\]'-]+)", path.read_text("utf-8")) for path in sources]
     named = {name for found in messages for text in found for name in text.split()}
     assert {"pyuff", "nicegui", "tomlkit"} <= named <= known, f"in no extra: {sorted(named - known)}"
 

@@ -28,9 +28,7 @@ def server(tmp_path):
 
 def table_of(tmp_path, rows):
     table = tmp_path / "table.tsv"
-    table.write_text(
-        "file\tlicence\tbytes\tsha256\tsource\n" + "".join("\t".join(row) + "\n" for row in rows)
-    )
+    table.write_text("file\tlicence\tbytes\tsha256\tsource\n" + "".join("\t".join(r) + "\n" for r in rows))
     return table
 
 

@@ -76,9 +76,7 @@ def test_damaged_packets_give_no_picture(tmp_path, codec, ending, pixels):
         path = tmp_path / f"damaged.{ending}"
         hit = damage(clean, path, seed)
         found = pictures(path)
-        assert len(found) == FRAMES, (
-            f"seed {seed}: {len(found)} frames of {FRAMES}, so that later times shift"
-        )
+        assert len(found) == FRAMES, f"seed {seed}: {len(found)} frames of {FRAMES}, so later times shift"
         wrong = [
             k
             for k, (image, true) in enumerate(zip(found, expected, strict=True))
@@ -141,9 +139,7 @@ def test_codecs_that_do_not_show_damage_are_named(tmp_path, codec, ending, pixel
     assert tracks, tracks.reason
     assert tracks.decode.shows_damage is shown, tracks.decode
     recording = replace(runs.recording(0, seconds=1.5), tracks=tracks)
-    named = [
-        alert.places[0][1] for alert in alerts(runs.run_result([recording])) if alert.kind == "undetected"
-    ]
+    named = [one.places[0][1] for one in alerts(runs.run_result([recording])) if one.kind == "undetected"]
     assert named == ([] if shown else [recording.file])
 
 

@@ -43,9 +43,7 @@ def test_a_run_on_a_full_medium_says_so_and_the_next_is_right(decay_run, tmp_pat
     assert first == 0 or (first == 2 and "No space left on device" in said), said[-500:]
     # All of it fits where the run ended well.
     needed_kb = sum(4 * -(-len(data) // 4096) for data in content(copy / "out").values())
-    assert first == 2 or needed_kb <= size_kb, (
-        f"ended well on {size_kb} kB, but its files take {needed_kb} kB"
-    )
+    assert first == 2 or needed_kb <= size_kb, f"ended well on {size_kb} kB, its files take {needed_kb} kB"
     assert second == 0, (copy / "second.txt").read_text()[-500:]
     found, expected = content(copy / "out"), content(decay_run / "out")
     kept = [name for name in expected if not name.startswith("state/")]

@@ -146,9 +146,7 @@ def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam,
 
 
 @pytest.mark.parametrize("command", ["info", "probe"])
-def test_a_closed_reader_of_the_output_ends_a_command_quietly(
-    tmp_path, in_process, monkeypatch, capfd, command
-):
+def test_a_closed_reader_of_output_ends_a_command_quietly(tmp_path, in_process, monkeypatch, capfd, command):
     write_decay(tmp_path)
     reader, writer = os.pipe()
     os.close(reader)

@@ -82,14 +82,7 @@ def tracks_table(path, rows=20, **wrong):
     names = [column.name for column in TRACK_COLUMNS]
     lines = [",".join(names)]
     for k in range(rows):
-        cells = {
-            "frame": k,
-            "time_s": k / 100.0,
-            "marker": "a",
-            "x_px": 5.0,
-            "y_px": 50.0 + k % 3,
-            "flags": "",
-        }
+        cells = {"frame": k, "time_s": k / 100, "marker": "a", "x_px": 5.0, "y_px": 50.0 + k % 3, "flags": ""}
         cells |= {"sd_x_px": 0.01, "sd_y_px": 0.01} | (wrong if k == 5 else {})
         lines.append(",".join(str(cells.get(name, "")) for name in names))
     path.write_text("\n".join(lines) + "\n")

@@ -110,9 +110,7 @@ CASES = [(ExitCode.USAGE, *case) for case in REFUSED] + [(ExitCode.NO_INPUT, *ca
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[1]} {case[2]}"[:70])
-def test_it_is_refused_in_a_few_words_and_nothing_is_written(
-    modalcam, tmp_path, monkeypatch, in_process, case
-):
+def test_it_is_refused_in_few_words_and_nothing_is_written(modalcam, tmp_path, monkeypatch, in_process, case):
     code, command, words, *text = case
     if not APPS and command.split()[0] in COMMANDS_OF_APPS:
         pytest.skip("modalcam/apps was deleted")

@@ -370,9 +370,7 @@ def test_a_marker_on_the_clamp_gives_the_motion_of_the_base() -> None:
     assert mode.participation is not None
     assert mode.participation_sd is not None
     scores = (mode.participation - PARTICIPATION[0]) / mode.participation_sd
-    assert np.max(np.abs(scores)) < _LIMIT, (
-        f"participation {mode.participation}, simulated {PARTICIPATION[0]}"
-    )
+    assert np.max(np.abs(scores)) < _LIMIT, f"found {mode.participation}, simulated {PARTICIPATION[0]}"
 
 
 def test_an_unrelated_input_shows_no_mode() -> None:

@@ -80,9 +80,7 @@ def test_beyond_four_sd_an_answer_is_wrong(change, is_wrong, is_confident):
 
 def _plain_seed():
     """A record of one mode: another is never the nearest."""
-    return next(
-        seed for seed in SEEDS if len(scene(seed).modes) == 1 and "only drive" not in scene(seed).traits
-    )
+    return next(s for s in SEEDS if len(scene(s).modes) == 1 and "only drive" not in scene(s).traits)
 
 
 def test_a_decay_called_driven_and_modes_of_a_drive_are_wrong():

@@ -28,9 +28,7 @@ def cut_film(tmp_path_factory):
     return folder
 
 
-def test_a_cut_film_says_so_first_in_the_terminal_and_in_the_report(
-    cut_film, tmp_path, in_process, no_figures
-):
+def test_a_cut_film_says_so_first_in_terminal_and_report(cut_film, tmp_path, in_process, no_figures):
     result = CliRunner().invoke(app, ["run", str(cut_film), "-o", str(tmp_path / "out"), "--jobs", "1"])
     assert result.exit_code == 4
     counts = f"{READ} of the {DECLARED} frames that it declares could be read, 0.276 s of 2.602 s"

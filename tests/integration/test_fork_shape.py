@@ -74,9 +74,7 @@ def test_a_prong_bends_as_a_clamped_beam_with_a_weight(prongs):
 
     # The clamp is below the picture: its distance from the lower end of the line is fitted.
     best = minimize_scalar(lacks, bounds=(-80.0, 40.0), method="bounded")
-    hinged = minimize_scalar(
-        lambda c: 1.0 - mac(shape, arc_px - c + 0j), bounds=(-80.0, 80.0), method="bounded"
-    )
+    hinged = minimize_scalar(lambda c: 1.0 - mac(shape, arc_px - c + 0j), bounds=(-80, 80), method="bounded")
     # Stations in H.264 scatter about a smooth line by 0.01 of the tip's motion, whose rms over the line is 0.5 of it:
     # (0.01 / 0.5)^2 = 4e-4.
     assert best.fun < 1e-3, best

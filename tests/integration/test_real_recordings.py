@@ -97,9 +97,7 @@ CANTILEVER = [
 def test_cantilever(modalcam, path, tmp_path):
     time_s, acceleration_g = np.load(path)
     csv_path = tmp_path / "series.csv"
-    np.savetxt(
-        csv_path, np.column_stack([time_s, acceleration_g]), "%.9g", ",", header="time_s,a", comments=""
-    )
+    np.savetxt(csv_path, np.c_[time_s, acceleration_g], "%.9g", ",", header="time_s,a", comments="")
     code, _, err = modalcam("identify", csv_path, "-o", tmp_path / "out", "--unit", "g")
     if not acceleration_g.any():
         assert code == 3

@@ -33,9 +33,7 @@ def test_cold_and_warm_runs_with_one_and_two_workers_write_the_same_bytes(tmp_pa
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
     found = []
     for jobs in (1, 2):
-        assert bool(list(cache.rglob("*.nbc"))) == (jobs == 2), (
-            "the first run must compile, the second must not"
-        )
+        assert bool(list(cache.rglob("*.nbc"))) == (jobs == 2), "the first run must compile, the second not"
         out = tmp_path / f"out{jobs}"
         command = [sys.executable, "-m", "modalcam", "run", str(footage), "-o", str(out), "--jobs", str(jobs)]
         subprocess.run(command, env=environment, check=True, capture_output=True, cwd=ROOT)

@@ -71,9 +71,7 @@ def test_the_true_value_is_in_every_99_percent_interval(out, truth):
             ("damping_ratio", "damping_ratio_interval_99"),
         ]:
             low, high = mode[interval]
-            assert low <= t[quantity] <= high, (
-                f"mode {t['mode']} {quantity} {t[quantity]} not in {low}, {high}"
-            )
+            assert low <= t[quantity] <= high, f"mode {t['mode']} {quantity} {t[quantity]}, {low} to {high}"
 
 
 def test_generic_damping_predicts_the_decay_and_rayleigh_overestimates_the_higher_modes(out, truth):

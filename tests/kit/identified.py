@@ -60,9 +60,7 @@ def identified(series, modes, fitted, baseline, used, residual_sd, onset, **more
     )
 
 
-def identification(
-    modes, *, time_s, positions_mm, fit_from_s, unit="mm", direction=(1.0, 0.0), offset_mm=0.0
-):
+def identification(modes, *, time_s, positions_mm, fit_from_s, unit="mm", direction=(1.0, 0.0), offset_mm=0):
     """`modes` are (frequency_hz, damping_ratio, complex shape in mm, number); the first is the target."""
     rng = np.random.default_rng(7)
     since = time_s - fit_from_s

@@ -267,9 +267,7 @@ def cantilever_shapes(stations, modes=3):
     """Shapes at places of 0 to 1 along the beam, 1 at the tip; (stations, modes)."""
     fine = np.linspace(0.0, 1.0, 4001)
     slopes = [cantilever_slope(number, fine) for number in range(1, modes + 1)]
-    return np.stack(
-        [np.interp(stations, fine, cumulative_trapezoid(s, fine, initial=0)) for s in slopes], axis=1
-    )
+    return np.transpose([np.interp(stations, fine, cumulative_trapezoid(s, fine, initial=0)) for s in slopes])
 
 
 def station_series(

@@ -72,9 +72,7 @@ def test_a_burst_is_left_out_and_named():
     assert low < PAPER_ZETA[2] < high
     left = np.delete(series.time_s, np.arange(2000, 2300))
     ratio = found.target.frequency_sd_hz / cramer_rao(2, sd, left)[0]
-    assert ratio < 1.2, (
-        f"the noise level is uncertain by about 10 %: sd {ratio:.2f} times the bound without the burst"
-    )
+    assert ratio < 1.2, f"noise level uncertain by about 10 %: sd {ratio:.2f} times that without the burst"
 
 
 def test_oscillation_on_soft_supports_does_not_bias_the_modes():

@@ -77,9 +77,7 @@ def test_too_few_samples_are_refused():
 
 
 def test_growing_motion_is_a_failed_mode_with_a_reason():
-    values = np.exp((0.5 + 2j * np.pi * 20.0) * T).real + 0.01 * np.random.default_rng(2).standard_normal(
-        T.size
-    )
+    values = np.exp((0.5 + 2j * np.pi * 20.0) * T).real + np.random.default_rng(2).normal(0.0, 0.01, T.size)
     found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
     assert not found or found.target is None
     if found:
@@ -131,11 +129,9 @@ def test_invalid_settings_are_refused():
 @pytest.mark.parametrize("damping_ratio", [0.75, 0.9, 1.5])
 def test_a_return_to_rest_without_oscillation_is_named(damping_ratio):
     poles = np.roots([1.0, 2.0 * damping_ratio * 30.0, 30.0**2]).astype(complex)
-    values = np.real(
-        (poles[0] * np.exp(poles[1] * T) - poles[1] * np.exp(poles[0] * T)) / (poles[0] - poles[1])
-    )
+    y = np.real((poles[0] * np.exp(poles[1] * T) - poles[1] * np.exp(poles[0] * T)) / (poles[0] - poles[1]))
     noise = 0.003 * np.random.default_rng(1).standard_normal(T.size)
-    found = identify(series_of(T, values + noise), IdentifySettings(sampler=QUICK))
+    found = identify(series_of(T, y + noise), IdentifySettings(sampler=QUICK))
     assert not found
     assert "damping ratios above 0.7 are not identified" in found.reason
 

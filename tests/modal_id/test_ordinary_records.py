@@ -74,9 +74,7 @@ def test_a_ringing_record_with_rising_damping_was_not_shaken():
     t = np.arange(3300) / 1000.0
     rate = np.where(t < 1.2, 0.5, 1.5)
     amplitude = np.exp(-np.cumsum(rate) / 1000.0)
-    y = 0.35 * amplitude * np.cos(2.0 * np.pi * 128.0 * t) + 0.004 * np.random.default_rng(1).standard_normal(
-        t.size
-    )
+    y = 0.35 * amplitude * np.cos(2 * np.pi * 128.0 * t) + np.random.default_rng(1).normal(0, 0.004, t.size)
     found = identified((t, y))
     assert found.onset.source == "record start"
     assert found.onset.fit_from_s == 0.0

@@ -57,9 +57,7 @@ def undamped_hz(damped_hz, zeta):
 
 def assert_right(value, sd, truth, bound, what):
     assert abs(value - truth) < MOST_SD * sd, f"{what} {value} for {truth}: {(value - truth) / sd:.1f} sd"
-    assert sd < MOST_BOUNDS * bound, (
-        f"sd of {what} {sd:.2g} is {sd / bound:.1f} times the Cramer-Rao bound {bound:.2g}"
-    )
+    assert sd < MOST_BOUNDS * bound, f"sd of {what} {sd:.2g}: {sd / bound:.1f} times the Cramer-Rao bound"
 
 
 def assert_target(mode, truth, bounds):

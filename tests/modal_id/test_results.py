@@ -52,10 +52,8 @@ def test_plots_return_the_axes_they_draw_on(found):
     assert len(replace(found, modes=()).plot().lines) == 2
     gaps = np.where(np.arange(found.series.time_s.size)[:, None] % 10 == 0, np.nan, found.series.values)
     line = DrivenMotion(10.0, 0.01, 1.0, found.series.unit)
-    nothing = replace(found.onset, source="none")
-    driven = replace(
-        found, series=replace(found.series, values=gaps), modes=(), driven=(line,), onset=nothing
-    )
+    none = replace(found.onset, source="none")
+    driven = replace(found, series=replace(found.series, values=gaps), modes=(), driven=(line,), onset=none)
     assert [drawn.get_label() for drawn in driven.plot().lines] == ["measured", "fitted motion"]
     mpl.pyplot.close("all")
 

@@ -79,15 +79,11 @@ def test_a_film_of_the_sample_beam_in_the_wind(tmp_path, minutes):
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     modes = pd.read_csv(tmp_path / "out" / "modes.csv")
-    assert list(modes["mode"]) == [1, 2], (
-        "the two modes of the simulation, by the frequencies and shapes of theory"
-    )
+    assert list(modes["mode"]) == [1, 2], "those of the simulation, by frequencies and shapes of theory"
     off_f = (modes.frequency_hz - beam.frequency_hz[:2]) / modes.frequency_sd_hz
     relative_sd = modes.damping_ratio_sd / modes.damping_ratio
     off_zeta = np.log(modes.damping_ratio / zeta) / relative_sd
     # Normal in the logarithm of zeta; four values, each within 4 sd: one seed in 4000 fails by chance.
     assert np.max(np.abs([off_f, off_zeta])) < 4.0, f"off by {list(off_f)} and {list(off_zeta)} sd"
     # So that the limits mean something: a minute should give 27 and 16 % by the law of a long record.
-    assert (relative_sd < 0.5).all(), (
-        f"relative standard deviations of the damping ratios {list(relative_sd)}"
-    )
+    assert (relative_sd < 0.5).all(), f"relative sd of the damping ratios {list(relative_sd)}"

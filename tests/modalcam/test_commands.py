@@ -236,9 +236,8 @@ def test_a_run_with_a_missing_result_fails_with_advice(out, toy_damping):
     path.rename(path.with_suffix(".away"))
     try:
         result = load_run(out, (toy_damping,))
-        with pytest.raises(
-            InputError, match=r"take\.modes\.npz: expected the result .* run the same command again"
-        ):
+        words = r"take\.modes\.npz: expected the result .* run the same command again"
+        with pytest.raises(InputError, match=words):
             _ = result.recordings
     finally:
         path.with_suffix(".away").rename(path)
@@ -385,9 +384,8 @@ def test_recordings_are_selected_by_patterns(tmp_path):
     (folder / "experiment.toml").write_text('[[recordings]]\nfile = "c.mkv"\n')
 
     def selected(*include, exclude=()):
-        _, recordings, notes = _find(
-            folder, Options(tmp_path / "out", selection=Selection(include, exclude)), None
-        )
+        options = Options(tmp_path / "out", selection=Selection(include, exclude))
+        _, recordings, notes = _find(folder, options, None)
         return [one.file for one in recordings], notes
 
     assert selected("a*.mkv", "b1.mkv") == (["a1.mkv", "a2.mkv", "b1.mkv", "day2/a1.mkv"], ())
@@ -396,7 +394,6 @@ def test_recordings_are_selected_by_patterns(tmp_path):
     assert notes == ("Left out by --include and --exclude: a2.mkv, b1.mkv, day2/a1.mkv.",)
     assert selected("b*")[0] == ["b1.mkv"]
     assert selected(exclude=("a*",))[0] == ["b1.mkv", "c.mkv"], "c.mkv is wanted and missing"
-    with pytest.raises(
-        InputError, match=r"leave out every recording of the folder: a1.mkv, a2.mkv, b1.mkv, day2"
-    ):
+    words = r"leave out every recording of the folder: a1.mkv, a2.mkv, b1.mkv, day2"
+    with pytest.raises(InputError, match=words):
         selected("x*")

@@ -30,14 +30,8 @@ def recording(file, *, failure="", failed_modes=(), modes=(), fitting_rate=None)
 
 def write_summary(folder, *recordings):
     provenance = {"program": "1.0", "command_line": "modalcam run videos"}
-    summary = provenance | {
-        "recordings": recordings,
-        "aliases": [],
-        "not_done": [],
-        "config": "",
-        "beam": None,
-    }
-    (folder / "summary.json").write_text(json.dumps(summary))
+    tree = provenance | {"recordings": recordings, "aliases": [], "not_done": [], "config": "", "beam": None}
+    (folder / "summary.json").write_text(json.dumps(tree))
 
 
 GOOD = recording("good.avi")

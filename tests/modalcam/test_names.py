@@ -22,9 +22,8 @@ def test_names_are_unique_safe_and_independent_of_order(files):
         assert 0 < len(name) <= 90
         assert not set(name) & set('/\\:*?"<>|\n\t ')
         assert name[0] not in ".-"
-    assert dict(zip(files, names, strict=True)) == dict(
-        zip(files[::-1], recording_names(files[::-1]), strict=True)
-    )
+    turned = files[::-1]
+    assert dict(zip(files, names, strict=True)) == dict(zip(turned, recording_names(turned), strict=True))
 
 
 def test_equal_stems_get_different_names():

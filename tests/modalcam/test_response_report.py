@@ -84,18 +84,14 @@ def test_the_universal_file_holds_the_responses(out):
     assert [one["rsp_ent_name"].strip() for one in found] == ["a", "b", "c"]
     for one in found:
         own = table[table.channel == one["rsp_ent_name"].strip()]
-        np.testing.assert_allclose(
-            one["x"], own.frequency_hz, rtol=1e-6, err_msg="from the width of the column"
-        )
+        np.testing.assert_allclose(one["x"], own.frequency_hz, rtol=1e-6, err_msg="by the column's width")
         np.testing.assert_allclose(one["data"], own.real + 1j * own.imaginary, rtol=1e-9)
 
 
 def test_the_report_has_its_section_and_no_decay(out):
     page = (out / "report.html").read_text("utf-8")
     assert "Frequency response to the measured input" in page
-    assert "modalcam identify take.csv --unit mm --input base --seed 0" in page, (
-        "all that the results depend on"
-    )
+    assert "modalcam identify take.csv --unit mm --input base --seed 0" in page, "what the results depend on"
     assert "Response to a measured motion of the base" in page
     for of_decay in ("Probability of this onset", "Length of decay", "Spectrum before and after the fit"):
         assert of_decay not in page, f"{of_decay} is of a decay"
@@ -234,9 +230,7 @@ def test_a_file_beside_a_film_holds_its_input(shaken, tmp_path):
     _check_film(tmp_path / "out", ["m1", "m2", "m3", "m4"], np.append(0.0, PARTICIPATION[0, ::-1]))
     response = load_run(tmp_path / "out").recordings[0].identification.response
     off_s = response.input_lag_s - 0.025
-    assert abs(off_s) < _LIMIT * response.input_lag_sd_s, (
-        f"late by 25 ms, found {1e3 * response.input_lag_s} ms"
-    )
+    assert abs(off_s) < _LIMIT * response.input_lag_sd_s, f"found {1e3 * response.input_lag_s} ms, not 25"
     again = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
     assert "computed take\n" not in again.output.partition("reading")[2].partition("\n")[2], again.output
     (shaken / "laser.csv").write_text("time_s,clamp\n0,0\n1,0\n")
@@ -255,17 +249,13 @@ def test_the_force_of_another_recorder_beside_a_table(tmp_path):
     command += ["--input-file", str(tmp_path / "hammer.csv"), "--input-lag-ms", "-12"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
-    modes, table = (
-        pd.read_csv(tmp_path / "out" / "modes.csv"),
-        pd.read_csv(tmp_path / "out" / "participation.csv"),
-    )
+    modes = pd.read_csv(tmp_path / "out" / "modes.csv")
+    table = pd.read_csv(tmp_path / "out" / "participation.csv")
     for row, hz, zeta in zip(modes.itertuples(), FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):
         assert abs(row.frequency_hz - hz) < _LIMIT * row.frequency_sd_hz
         assert abs(row.damping_ratio - zeta) < _LIMIT * row.damping_ratio_sd
     simulated = MM_PER_N * FREQUENCIES_HZ[0] ** 2 * PARTICIPATION.ravel()
     # The filter changes frequencies of the fit by 2e-4 at most.
     scores = (table.participation - simulated) / np.hypot(table.participation_sd, 2e-4 * simulated)
-    assert np.max(np.abs(scores)) < _LIMIT, (
-        f"modal constants {list(table.participation)}, simulated {simulated}"
-    )
+    assert np.max(np.abs(scores)) < _LIMIT, f"found {list(table.participation)}, simulated {simulated}"
     assert np.isfinite(table.modal_mass).all()

@@ -124,10 +124,8 @@ def test_what_the_record_does_not_reach_is_wide():
 
 def test_too_few_cycles_have_no_curve():
     time_s = np.arange(500) / 500
-    values = decay(time_s, lambda _: 0.01, lambda _: 12.0) + 1e-3 * np.random.default_rng(0).standard_normal(
-        500
-    )
-    assert amplitude_curve(model_of(time_s, values, 12.0, 0.01), 0) is None
+    y = decay(time_s, lambda _: 0.01, lambda _: 12.0) + 1e-3 * np.random.default_rng(0).standard_normal(500)
+    assert amplitude_curve(model_of(time_s, y, 12.0, 0.01), 0) is None
 
 
 def test_decay_of_the_curve():
@@ -171,6 +169,4 @@ def test_cantilever_in_a_vice_that_slips(run):
         (whole.frequency_interval_hz(), curve.frequency_hz[[0, -1]]),
         (whole.damping_interval(), curve.damping_ratio[[0, -1]]),
     ):
-        assert low < np.min(ends) < np.max(ends) < high, (
-            "the intervals of the constants reach both ends of the curve"
-        )
+        assert low < np.min(ends) < np.max(ends) < high, "intervals of constants reach both ends of the curve"

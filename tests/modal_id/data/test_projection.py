@@ -186,9 +186,7 @@ def test_correlated_noise_of_neighbours_gives_uncorrelated_components():
     found, truth = components_of(series, clean, components=5)
     left = found.data.values - truth
     correlation = np.corrcoef(left.T) - np.eye(5)
-    assert np.max(np.abs(correlation)) < 5.0 * np.sqrt(3.0 / left.shape[0]), (
-        "estimated from half of the spectrum"
-    )
+    assert np.max(np.abs(correlation)) < 5.0 * np.sqrt(3.0 / left.shape[0]), "known from half of the spectrum"
 
 
 def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_channels(monkeypatch):
@@ -247,11 +245,9 @@ def test_an_error_common_to_all_stations_does_not_average_out(alike, records):
         size = np.random.default_rng([seed, 5]).standard_normal(errors.periodic(0, moved[:, 0]).shape[1])
         common = np.stack([errors.periodic(i, moved[:, i]) @ size for i in range(k)], axis=1)
         reduced = project(prepare(replace(series, values=series.values + common)), None)
-        fitted = without_repeating_errors(
-            find_modes(reduced.data, 1), errors, np.arange(k), reduced.projection
-        )
-        error = fitted.fit.poles[0].real + 2.0 * np.pi * f * zeta
-        scores.append(error / np.sqrt(fitted.fit.covariance[0, 0] + fitted.repeating[0, 0]))
+        own = without_repeating_errors(find_modes(reduced.data, 1), errors, np.arange(k), reduced.projection)
+        error = own.fit.poles[0].real + 2.0 * np.pi * f * zeta
+        scores.append(error / np.sqrt(own.fit.covariance[0, 0] + own.repeating[0, 0]))
     rms, limit = np.sqrt(np.mean(np.square(scores))), np.sqrt(chi2.isf(1e-3, records) / records)
     assert (rms < limit) == alike, (
         f"errors of {rms:.2f} stated sd; chi-square allows {limit:.2f} where the sd is right"

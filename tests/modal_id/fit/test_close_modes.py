@@ -59,10 +59,8 @@ def test_motion_distorted_by_its_amplitude_is_one_mode(part):
     """A cubic stiffness adds a component at the frequency of the mode that decays three times as fast."""
     t = np.arange(1200) / 500
     omega, zeta = 2 * np.pi * 88.9, 0.003
-    envelope = np.exp(-zeta * omega * t)
-    y = np.outer(
-        envelope * np.cos(omega * t) + part * envelope**3 * np.cos(omega * t + 0.7), [1.0, -0.6, 0.3, 0.8]
-    )
+    size = np.exp(-zeta * omega * t)
+    y = np.outer(size * np.cos(omega * t) + part * size**3 * np.cos(omega * t + 0.7), [1.0, -0.6, 0.3, 0.8])
     y += 1e-4 * np.random.default_rng(2).standard_normal(y.shape)
     found = identify(series_of(t, y), IdentifySettings(onset_s=0.0, sampler=QUICK))
     assert len([m for m in found.modes if abs(m.frequency_hz - 88.9) < 3.0]) == 1
@@ -128,9 +126,7 @@ def close_pair(apart, zeta, beats):
     ("zetas", "other_hz", "amplitude"),
     [((0.034, 0.0155), 4.82, 0.2), ((0.03, 0.012), 4.80, 0.3), ((0.02, 0.008), 4.75, 0.15)],
 )
-def test_the_small_amplitude_of_a_pair_is_no_more_certain_than_that_it_is_one_mode(
-    zetas, other_hz, amplitude
-):
+def test_the_small_amplitude_of_a_pair_is_no_more_certain_than_its_being_one_mode(zetas, other_hz, amplitude):
     """A law of one mode imitates two that overlap, with values of neither: they were 4 to 16 of their sd from both."""
     time_s = np.arange(2500) / 100.0
     noise = 0.002 * np.random.default_rng(0).standard_normal(time_s.size)
@@ -138,6 +134,4 @@ def test_the_small_amplitude_of_a_pair_is_no_more_certain_than_that_it_is_one_mo
     found = identify(series_of(time_s, wave), IdentifySettings(sampler=QUICK))
     for mode in found.modes:
         value, sd = mode.small_amplitude_damping
-        assert min(abs(value - zeta) for zeta in zetas) < 4.0 * sd, (
-            f"{value:.4g} +- {sd:.2g} is neither of {zetas}"
-        )
+        assert min(abs(value - z) for z in zetas) < 4.0 * sd, f"{value:.4g} +- {sd:.2g} is neither of {zetas}"

@@ -69,9 +69,7 @@ def scores(frames, amplitude_px, known, disturb, records=RECORDS):
 def assert_calibrated(z, what):
     low, high = chi2.ppf([0.0005, 0.9995], z.size)
     total = float(z @ z)
-    assert low < total < high, (
-        f"{what}: the sum of {z.size} z^2 is {total:.0f}, chance allows {low:.0f} to {high:.0f}"
-    )
+    assert low < total < high, f"{what}: {z.size} z^2 make {total:.0f}, chance allows {low:.0f} to {high:.0f}"
 
 
 def template_noise(share, rest_px=0.3):
@@ -177,9 +175,7 @@ def test_the_lag_of_frames_predicted_from_earlier_ones_is_inside_the_interval_of
     for seed in range(RECORDS):
         rng = np.random.default_rng([seed, 4])
         motion = 0.3 * np.exp(POLE * time + 2j * np.pi * rng.uniform())
-        values = (
-            motion.real + lag * SD_PX * motion.imag / np.abs(motion) + SD_PX * rng.standard_normal(time.size)
-        )
+        values = motion.real + SD_PX * (lag * motion.imag / np.abs(motion) + rng.standard_normal(time.size))
         model = find_modes(FitData(time, values[:, None], np.ones((time.size, 1))), 1)
         free = without_repeating_errors(model, known, np.arange(1))
         own = model.fit.covariance[1, 1], free.fit.covariance[1, 1] + free.repeating[1, 1]

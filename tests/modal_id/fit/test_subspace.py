@@ -48,14 +48,10 @@ def test_poles_of_a_mode_are_stable_from_low_orders_on_and_have_its_damping():
 def test_a_mode_of_many_channels_is_confirmed():
     series = one_mode(0, 3, fps=500.0, duration_s=6.0)[0]
     size = np.linspace(0.1, 1.0, 60)
-    values = series.values[:, :1] * size + 1e-3 * np.random.default_rng(4).standard_normal(
-        (len(series.time_s), 60)
-    )
+    values = series.values[:, :1] * size + 1e-3 * np.random.default_rng(4).standard_normal((3000, 60))
     data = FitData(series.time_s, values, np.ones_like(values))
     highest_hz = PAPER_HZ[3]
-    assert 240 // 60 / (5.0 * highest_hz) < 0.1 / PAPER_HZ[0], (
-        "lags of all channels together would miss the mode"
-    )
+    assert 240 // 60 / (5.0 * highest_hz) < 0.1 / PAPER_HZ[0], "lags of all channels at once would miss it"
     diagram = stability_diagram(data, np.zeros_like(values), highest_hz)
     assert diagram.confirms(PAPER_HZ[0])
     assert not diagram.confirms(0.8 * highest_hz)

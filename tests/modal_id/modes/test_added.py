@@ -110,9 +110,7 @@ def test_the_highest_peak_of_noise_is_no_mode(count, ar, chance):
         model = find_modes(data, 8)
         added += len(with_named(model, data, (highest_peak_hz(model),)).added_hz)
     most = int(binom.ppf(1.0 - chance, count, 0.01))
-    assert added <= most, (
-        f"{added} of {count}; at a probability of 1 %, more than {most} are a chance of {chance:g}"
-    )
+    assert added <= most, f"{added} of {count}; at a probability of 1 %, > {most} are a chance of {chance:g}"
 
 
 @pytest.mark.slow
@@ -125,6 +123,4 @@ def test_intervals_of_added_modes_contain_the_truth():
             inside.append(low <= FAINT_ZETA <= high)
     least = int(binom.ppf(1e-3, len(inside), 0.9))
     assert len(inside) >= 25, "most records determine it"
-    assert sum(inside) >= least, (
-        f"{sum(inside)} of {len(inside)} 90 % intervals; binomial bound of 1 in 1000: {least}"
-    )
+    assert sum(inside) >= least, f"{sum(inside)} of {len(inside)} 90 % intervals; bound of 1 in 1000: {least}"

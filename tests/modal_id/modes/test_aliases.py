@@ -21,17 +21,13 @@ def test_all_aliases_and_no_others_have_the_same_samples(frequency_hz, rate_hz):
     """Samples of a cosine, which does not know the sign of a frequency, at each alias and at one that is none."""
     found = alias_frequencies(apparent_hz(frequency_hz, rate_hz), rate_hz, frequency_hz + rate_hz)
     assert 0.0 <= found[0] <= 0.5 * rate_hz
-    assert np.min(np.abs(found - frequency_hz)) < 1e-9 * (frequency_hz + rate_hz), (
-        "the frequency is its own alias"
-    )
+    assert np.min(np.abs(found - frequency_hz)) < 1e-9 * (frequency_hz + rate_hz), "it is its own alias"
     phase = 2.0 * np.pi * np.arange(20) / rate_hz
     samples = np.cos(phase * frequency_hz)
     # Phases up to 20 cycles per frequency over rate: each is rounded to 2^-53 of it.
     tolerance = 20 * 2 * np.pi * (found[-1] / rate_hz + 1.0) * 2.0**-48
     for hz in found:
-        np.testing.assert_allclose(
-            np.cos(phase * hz), samples, atol=tolerance, err_msg=f"{hz} Hz at {rate_hz} Hz"
-        )
+        np.testing.assert_allclose(np.cos(phase * hz), samples, atol=tolerance, err_msg=f"{hz} Hz")
     between = found[0] + 0.31 * rate_hz if found[0] < 0.19 * rate_hz else found[0] - 0.17 * rate_hz
     assert np.max(np.abs(np.cos(phase * between) - samples)) > 0.1
 
@@ -58,10 +54,8 @@ def structure(rng, rates_hz=(250.0, 410.0, 530.0), sd_hz=0.02, ppm=50.0):
         other = rng.uniform(1.0, 0.5 * rate, rng.integers(0, 3)).tolist() if k else []
         rate_error = 1.0 + 1e-6 * ppm * rng.standard_normal()
         for hz in true + other:
-            seen_hz = max(
-                apparent_hz(hz, rate * rate_error) / rate_error + sd_hz * rng.standard_normal(), 0.01
-            )
-            lines.append(Line(f"take{k}", rate, seen_hz, sd_hz, rate_sd_ppm=ppm, doubtful=True))
+            seen = max(apparent_hz(hz, rate * rate_error) / rate_error + sd_hz * rng.standard_normal(), 0.01)
+            lines.append(Line(f"take{k}", rate, seen, sd_hz, rate_sd_ppm=ppm, doubtful=True))
     return true_hz, lines, sum(shown)
 
 
@@ -80,9 +74,8 @@ def test_odds_are_those_of_simulated_structures():
     for chosen, name in ((decided, "decided"), (probability > 0.99, "above 0.99"), (~decided, "undecided")):
         p = probability[chosen]
         least = np.sum(p) - 3.1 * np.sqrt(np.sum(p * (1.0 - p)))  # chance falls below it once in 1000
-        assert np.sum(right[chosen]) >= least, (
-            f"{name}: {np.sum(right[chosen])} of {p.size} right, expected {least:.1f}"
-        )
+        count = np.sum(right[chosen])
+        assert count >= least, f"{name}: {count} of {p.size} right, expected {least:.1f}"
     # A coincidence of one of eight frequencies within 1 Hz in both others is rare: 8 (2 / 205) (2 / 265) = 6e-4.
     assert np.mean(decided[shown == 3]) > 0.95, "three recordings that show the mode must decide"
 
@@ -92,12 +85,7 @@ def test_one_rate_lists_all_aliases_as_equally_probable():
     copy = replace(line, recording="again", rate_hz=250.1)
     for found in (*resolve_aliases([line]).lines, *resolve_aliases([line, copy]).lines):
         assert not found.decided
-        assert [round(alias.frequency_hz, 1) for alias in found.aliases] == [
-            122.1,
-            127.9,
-            372.1,
-            377.9,
-        ] or copy
+        assert [round(one.frequency_hz, 1) for one in found.aliases] == [122.1, 127.9, 372.1, 377.9] or copy
         assert {alias.probability for alias in found.aliases} == {0.25}
         assert "Record the structure again at another rate" in str(found)
     assert not resolve_aliases([replace(line, doubtful=False)]).lines[0].applies
@@ -118,9 +106,8 @@ def test_an_image_of_a_line_is_no_evidence():
 
 
 def test_the_decay_rate_stays_and_the_damped_frequency_folds():
-    found = (
-        resolve_aliases([Line("a", 100.0, 30.0, 0.01, damping_ratio=0.2, doubtful=True)]).lines[0].aliases[1]
-    )
+    line = Line("a", 100.0, 30.0, 0.01, damping_ratio=0.2, doubtful=True)
+    found = resolve_aliases([line]).lines[0].aliases[1]
     damped_hz, rate = 30.0 * np.sqrt(0.96), 0.2 * 30.0
     assert found.frequency_hz**2 == pytest.approx((100.0 - damped_hz) ** 2 + rate**2)
     assert found.damping_ratio * found.frequency_hz == pytest.approx(rate)

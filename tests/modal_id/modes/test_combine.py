@@ -76,9 +76,7 @@ def test_scatter_between_values_and_its_interval_on_simulated_runs():
         low, high = between_interval(x, sd)
         covered.append(low <= true <= high)
     se = np.std(found) / 20.0
-    assert abs(np.mean(found) - true**2) < 3.0 * se, (
-        f"mean variance {np.mean(found)}, three standard errors {3 * se}"
-    )
+    assert abs(np.mean(found) - true**2) < 3.0 * se, f"mean {np.mean(found)}, three standard errors {3 * se}"
     # Both are consistent estimates of one variance: they differ by less than a fifth of their own scatter.
     assert np.mean(np.abs(np.subtract(found, likely))) < 0.2 * np.std(likely)
     assert np.corrcoef(found, likely)[0, 1] > 0.97

@@ -35,6 +35,4 @@ def test_more_decays_do_not_average_out_what_changes_with_the_amplitude(count):
             assert abs(mode.damping_ratio - true) < 3.0 * mode.damping_ratio_sd, f"{mode} for {true}"
     ratio = many.damping_ratio_sd / one.damping_ratio_sd
     averaged = count**-0.5
-    assert ratio > 0.9, (
-        f"the interval of {count} decays is {ratio:.2f} of that of one: averaged, {averaged:.2f}"
-    )
+    assert ratio > 0.9, f"the interval of {count} decays is {ratio:.2f} of one's: averaged, {averaged:.2f}"

@@ -42,6 +42,4 @@ def test_a_distant_line_at_the_level_of_the_noise_changes_nothing():
     found, mode = fitted(series.time_s, series.values[:, 0])
     effect = line_effect(found, mode, 2.5 * mode.frequency_hz)
     assert effect.frequency_hz < mode.frequency_sd_hz
-    assert effect.damping_ratio < mode.damping_ratio_sd, (
-        "one bin of white noise, away from the mode, is no bias"
-    )
+    assert effect.damping_ratio < mode.damping_ratio_sd, "a bin of white noise away from the mode is no bias"

@@ -26,9 +26,7 @@ def test_p_values_are_uniform_where_the_model_is_true():
     ]
     p = np.array([[one.p_value for one in row] for row in found])
     assert np.count_nonzero(p <= 0.01) <= 3, "binomial(40, 0.01) exceeds 3 with probability 7e-4"
-    assert 0.32 < np.mean(p) < 0.68, (
-        "the mean of 40 uniform values has sd 0.046; dependence within a record doubles it"
-    )
+    assert 0.32 < np.mean(p) < 0.68, "mean of 40 uniform values: sd 0.046, doubled by dependence in a record"
 
 
 @pytest.mark.parametrize(
@@ -42,11 +40,9 @@ def test_a_wrong_model_is_detected(what, which):
         y += 0.01 * np.exp(pole_of(53.2, 0.0023) * t).real
     if what == "amplitude":
         pole = pole_of(26.84, 0.0028)
-        relative = np.exp(pole.real * t)
+        size = np.exp(pole.real * t)
         # zeta rises by 30 % at the largest amplitude.
-        y = (relative / (1.0 + 0.3 * (1.0 - relative))) * np.cos(pole.imag * t) + sd * rng.standard_normal(
-            t.size
-        )
+        y = size / (1.0 + 0.3 * (1.0 - size)) * np.cos(pole.imag * t) + sd * rng.standard_normal(t.size)
     if what == "outliers":
         # Below the rejection limit of 5 sd.
         hit = rng.random(t.size) < 0.02

@@ -83,9 +83,7 @@ def template():
 
 def with_shapes(template, shapes):
     sd = np.full(CHANNELS, 0.003)
-    modes = [
-        replace(mode, shape=shape, shape_sd=sd) for mode, shape in zip(template.modes, shapes, strict=True)
-    ]
+    modes = [replace(m, shape=s, shape_sd=sd) for m, s in zip(template.modes, shapes, strict=True)]
     return replace(template, modes=tuple(modes))
 
 

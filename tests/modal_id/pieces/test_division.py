@@ -58,9 +58,7 @@ def test_a_change_leaves_unexplained_motion_and_is_found(name):
     assert misfit(model).share > 0.01
     change = likeliest_change(model.data, (MODES[0][0],))
     assert change.low_s < CHANGE_S < change.high_s
-    assert change.high_s - change.low_s < 8.0 / MODES[0][0], (
-        "an edge is known to two blocks of two cycles each"
-    )
+    assert change.high_s - change.low_s < 8.0 / MODES[0][0], "an edge is known to two blocks of two cycles"
 
 
 @pytest.mark.parametrize(
@@ -78,9 +76,7 @@ def test_the_decays_about_a_change_are_answered(name, truth):
     for mode, (f, z, _) in zip(found.modes, sorted(truth), strict=True):
         assert abs(mode.frequency_hz - f) < 4.0 * mode.frequency_sd_hz, f"{mode} for {f} Hz"
         assert abs(mode.damping_ratio - z) < 4.0 * mode.damping_ratio_sd, f"{mode} for {z}"
-        assert mode.damping_ratio_sd < 0.1 * z, (
-            f"{mode}: the undisturbed part determines zeta to a few per cent"
-        )
+        assert mode.damping_ratio_sd < 0.1 * z, f"{mode}: the undisturbed part determines zeta to a few %"
 
 
 @pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (3,)), 7])

@@ -14,9 +14,7 @@ def record(growth, seed):
     """zeta = 4e-4 (1 + growth a^2) at 5.2 Hz, and a constant damping ratio at 14.5 Hz, of a quarter of its size."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(SPAN_S * RATE_HZ)) / RATE_HZ
-    strong = of_amplitude(
-        t.size, 1.0 / RATE_HZ, lambda a: (4e-4 * (1.0 + growth * a * a), STRONG_HZ), 1.0, 0.3
-    )
+    strong = of_amplitude(t.size, 1 / RATE_HZ, lambda a: (4e-4 * (1.0 + growth * a**2), STRONG_HZ), 1.0, 0.3)
     values = strong + decay(t, WEAK_HZ, WEAK_ZETA, 0.26)
     return series_of(t, values[:, None] + 7e-4 * rng.standard_normal((t.size, 1)))
 
@@ -30,9 +28,7 @@ def test_a_weak_mode_does_not_take_over_the_dependence_of_a_strong_one(seed):
     assert "AMPLITUDE_DEPENDENT" not in weak.flags, "its damping ratio is constant"
     zeta, sd = weak.small_amplitude_damping
     assert abs(zeta - WEAK_ZETA) < 3.0 * sd, "3 sd of a normal error"
-    assert weak.damping_ratio_sd < 1.5 * reference.damping_ratio_sd, (
-        "the record holds as much about it as without"
-    )
+    assert weak.damping_ratio_sd < 1.5 * reference.damping_ratio_sd, "as much is known of it as without"
 
 
 def test_a_mode_of_which_nothing_is_left_has_its_limits():

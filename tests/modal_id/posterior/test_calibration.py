@@ -22,9 +22,7 @@ LEVELS = (0.5, 0.9, 0.99)
 
 def sampled(series, mode, seed):
     """Quantile functions of frequency and damping ratio from `identify`."""
-    found = identify(
-        series, IdentifySettings(target_frequency_hz=float(PAPER_HZ[mode]), onset_s=0.0, seed=seed)
-    )
+    found = identify(series, IdentifySettings(target_frequency_hz=PAPER_HZ[mode], onset_s=0.0, seed=seed))
     assert found, f"mode {mode + 1}, seed {seed}: {getattr(found, 'reason', '')}"
     assert found.target is not None, f"mode {mode + 1}, seed {seed}: {found.failed}"
     draws = found.target.posterior
@@ -58,9 +56,7 @@ def integrated(series, mode, seed, modes):
 def assert_covered(hits, trials, level, what):
     """Check the coverage against the binomial 99.9 % band: one false alarm per thousand checks."""
     low, high = binom.interval(0.999, trials, level)
-    assert low <= hits <= high, (
-        f"{what}: {hits} of {trials} inside the {level:.0%} interval, allowed {low}..{high}"
-    )
+    assert low <= hits <= high, f"{what}: {hits} of {trials} in {level:.0%} intervals, allowed {low}..{high}"
 
 
 def cover(seeds, posterior):
@@ -95,9 +91,7 @@ def test_white_noise_reaches_the_bound_unbiased_and_covers(seeds, posterior):
     # The sum of n squared errors over the bound is chi-square; the baseline raises the error of mode 1 by up to 10 %.
     limit = 1.1 * np.sqrt(chi2.ppf(1.0 - 1e-4, n) / n)
     rms = np.sqrt(np.mean(errors**2, axis=1))
-    assert np.all(rms < limit), (
-        f"rms relative to the Cramer-Rao bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
-    )
+    assert np.all(rms < limit), f"rms over the Cramer-Rao bound {rms.round(2)}, {limit:.2f} allowed for {n}"
     mean = np.mean(errors, axis=1) * np.sqrt(n) / 1.1
     assert np.all(np.abs(mean) < 4.2), f"biased: mean error over its standard error {mean.round(1)}"
 
@@ -119,6 +113,4 @@ def test_disturbed_records(seeds, posterior):
         errors = [100.0 * (median / PAPER_ZETA[mode] - 1.0) for median in medians]
         allowed = LIMIT_PERCENT[mode] * np.sqrt(chi2.ppf(1.0 - 1e-3, len(errors)) / len(errors))
         rms = float(np.sqrt(np.mean(np.square(errors))))
-        assert rms < allowed, (
-            f"mode {mode + 1}: zeta rms error {rms:.2f} % on disturbed records, {allowed:.2f} allowed"
-        )
+        assert rms < allowed, f"mode {mode + 1}: zeta rms error {rms:.2f} %, {allowed:.2f} allowed"

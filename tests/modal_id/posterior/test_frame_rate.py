@@ -70,9 +70,7 @@ def test_the_frequency_of_a_driven_motion_has_the_error_too():
     own, stated = (identify(replace(series_of(t, drive), rate_sd_ppm=ppm)).driven[0] for ppm in (0.0, PPM))
     expected = np.hypot(own.frequency_sd_hz, 1e-6 * PPM * own.frequency_hz)
     assert expected > 5.0 * own.frequency_sd_hz, "the record determines the frequency better than the rate"
-    assert stated.frequency_sd_hz == pytest.approx(expected, rel=1e-12), (
-        "independent errors add by their squares"
-    )
+    assert stated.frequency_sd_hz == pytest.approx(expected, rel=1e-12), "independent errors add by squares"
 
 
 def test_the_limit_at_small_amplitude_has_the_error_too(decay):

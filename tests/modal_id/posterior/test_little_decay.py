@@ -39,9 +39,7 @@ def test_both_damping_ratios_agree_with_the_truth():
         assert "FEW_CYCLES_LOST" in target.flags
         z.append((target.damping_ratio - middle) / target.damping_ratio_sd)
         value, sd = target.small_amplitude_damping
-        assert sd > 5.0 * target.damping_ratio_sd, (
-            "the limit is extrapolated over three quarters of the amplitude"
-        )
+        assert sd > 5.0 * target.damping_ratio_sd, "extrapolated over three quarters of the amplitude"
         small_z.append((value - zeta0) / sd)
     assert np.sum(np.square(z)) < MOST, np.round(z, 2)
     assert np.sum(np.square(small_z)) < MOST, np.round(small_z, 2)

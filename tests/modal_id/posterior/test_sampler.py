@@ -72,8 +72,7 @@ def test_draws_of_a_truncated_skewed_density_far_from_its_approximation(correlat
 
 def test_autocorrelation_times_are_those_of_emcee():
     rng = np.random.default_rng(0)
-    chains = 0.3 * np.cumsum(rng.standard_normal((2, 80, 16, 2)), axis=1) + rng.standard_normal(
-        (2, 80, 16, 2)
-    )
+    size = (2, 80, 16, 2)
+    chains = 0.3 * np.cumsum(rng.standard_normal(size), axis=1) + rng.standard_normal(size)
     expected = [emcee.autocorr.integrated_time(one, tol=0) for one in chains]
     np.testing.assert_allclose(autocorrelation_times(chains), expected, rtol=1e-9)

@@ -59,9 +59,7 @@ def test_a_loud_decay_of_a_quiet_record_is_no_part_of_its_release():
     found = find_changes(data_of(t, y, 1e-4, 1), (HZ,), 0.0)
     # Blocks of two cycles: a release disturbs one, and is known to those beside it.
     assert any(one.low_s < 5.1 < one.high_s < 5.1 + 12.0 / HZ for one in found), found
-    assert any(one.low_s - 2.0 / HZ < 30.0 < one.high_s + 2.0 / HZ and one.low_s > 25.0 for one in found), (
-        found
-    )
+    assert any(x.low_s - 2.0 / HZ < 30.0 < x.high_s + 2.0 / HZ and x.low_s > 25.0 for x in found), found
 
 
 @pytest.mark.parametrize("count", [30, pytest.param(400, marks=pytest.mark.slow)])
@@ -121,9 +119,8 @@ def test_costs_are_those_of_the_least_squares(waves, channels):
     rng = np.random.default_rng(int(10 * waves) + channels)
     n, penalty = 24, 4.0
     x = np.arange(n) - 0.5 * (n - 1)
-    true = {0: [], 1: [-0.05 + 0.4j], 1.5: [-0.05 + 0.4j, 0.004 - 0.003j], 2: [-0.05 + 0.4j, -0.1 - 0.7j]}[
-        waves
-    ]
+    first = -0.05 + 0.4j
+    true = {0: [], 1: [first], 1.5: [first, 0.004 - 0.003j], 2: [first, -0.1 - 0.7j]}[waves]
     size = 20.0 * np.exp(1j * rng.uniform(0, 6, (2, channels)))
 
     def shapes(parameters):

@@ -140,7 +140,8 @@ def test_info_names_versions(modalcam):
 
 
 def test_track_one_file(modalcam, videos, tmp_path):
-    code, _, err = modalcam("track", videos / "take.mkv", "-o", tmp_path / "out", "--fps", 120, "--jobs", 1)
+    asked = ("track", videos / "take.mkv", "-o", tmp_path / "out", "--fps", 120, "--jobs", 1)
+    code, _, err = modalcam(*asked)
     assert code == 0, err
     rows = (tmp_path / "out" / "tracks" / "take.csv").read_text().splitlines()
     assert len(rows) == 13
@@ -149,12 +150,8 @@ def test_track_one_file(modalcam, videos, tmp_path):
     assert float(last["x_px"]) == pytest.approx(32 + 5 * np.sin(5.5), abs=0.05)
     assert last["x_mm"] == "NaN"
     assert "take: 1 marker in 12 frames" in err
-    code, out, err = modalcam(
-        "track", videos / "take.mkv", "-o", tmp_path / "out", "--fps", 120, "--jobs", 1, "-q"
-    )
-    assert (code, out, err) == (0, f"{tmp_path / 'out' / 'tracks'}\n", ""), (
-        "there is neither failure nor warning"
-    )
+    code, out, err = modalcam(*asked, "-q")
+    assert (code, out, err) == (0, f"{tmp_path / 'out' / 'tracks'}\n", ""), "neither failure nor warning"
 
 
 def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path):
@@ -225,9 +222,7 @@ def test_without_a_folder_for_the_results_it_is_named_after_the_input_and_never_
 
 
 @pytest.mark.usefixtures("in_process")
-def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
-    tmp_path, modalcam, monkeypatch
-):
+def test_identify_names_the_parts_of_a_record_and_values_at_small_amplitude(tmp_path, modalcam, monkeypatch):
     """A ruler: at rest, plucked at 0.55 s, zeta falls to 0.8 % with the amplitude, a click at 2 s."""
     for name in ("tables", "work"):
         (tmp_path / name).mkdir()
@@ -245,9 +240,7 @@ def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
 
 
 @pytest.mark.usefixtures("in_process")
-def test_identify_says_of_several_decays_what_each_gives_and_of_driving_that_nothing_decays(
-    tmp_path, modalcam
-):
+def test_identify_says_of_decays_what_each_gives_and_of_driving_that_nothing_decays(tmp_path, modalcam):
     for name, record in (("plucks", several_plucks()), ("drive", steady_drive())):
         write_series(tmp_path / f"{name}.csv", *record)
     code, _, said = modalcam("identify", tmp_path / "plucks.csv", "-o", tmp_path / "plucks")

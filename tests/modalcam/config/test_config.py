@@ -176,11 +176,7 @@ def test_ends_are_set_in_the_beam_and_what_they_contradict_is_named():
 
 
 def test_a_change_of_section_begins_with_an_element_and_keeps_what_it_does_not_name():
-    sections = [
-        {"from_mm": 30.0, "thickness_mm": 3.0},
-        {"from_mm": 100.00001, "width_mm": 10.0},
-        {"from_mm": 270},
-    ]
+    sections = [{"from_mm": 30, "thickness_mm": 3}, {"from_mm": 100.00001, "width_mm": 10}, {"from_mm": 270}]
     found = beam_properties(BeamConfig.model_validate({**BEAM, "elements": 30, "sections": sections}))
     assert (1e3 * found.thickness_m).round(9).tolist() == 3 * [2.0] + 7 * [3.0] + 20 * [2.0]
     assert (1e3 * found.width_m).round(9).tolist() == 10 * [20.0] + 17 * [10.0] + 3 * [20.0]

@@ -55,10 +55,8 @@ def test_times_of_a_tdms_file_may_be_a_channel_or_time_stamps(tmp_path):
 def test_the_unit_that_all_channels_state_is_that_of_the_series(tmp_path, hdf5, in_process, ending, units):
     path = tmp_path / f"a.{ending}"
     if ending == "tdms":
-        write_tdms(
-            path,
-            *[(g, n, y, CLOCK | {"unit_string": u}) for (g, n, y, _), u in zip(pair(), units, strict=True)],
-        )
+        given = zip(pair(), units, strict=True)
+        write_tdms(path, *[(g, n, y, CLOCK | {"unit_string": u}) for (g, n, y, _), u in given])
     else:
         with hdf5.File(write_hdf5(path, hdf5, {"fs": 250.0}, a=MOTION[:, 0], b=MOTION[:, 1]), "a") as file:
             for name, unit in zip("ab", units, strict=True):
@@ -179,9 +177,8 @@ def test_netcdf_of_xarray(tmp_path, stored):
     times = {"numbers": TIME_S, "durations": since, "dates": pd.Timestamp("2026-01-01") + since}[stored]
     holed = MOTION.copy()
     holed[7, 1] = np.nan
-    data = xr.Dataset(
-        {"y": (("channel", "time"), holed.T)}, coords={"time": times, "channel": ["tip", "\u03b6"]}
-    )
+    coords = {"time": times, "channel": ["tip", "\u03b6"]}
+    data = xr.Dataset({"y": (("channel", "time"), holed.T)}, coords=coords)
     packed = {"y": {"dtype": "i4", "scale_factor": 1e-6, "add_offset": 1.0, "_FillValue": -(2**31)}}
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf", encoding=packed)
     columns = read_table(tmp_path / "a.nc").columns

@@ -88,9 +88,8 @@ def test_columns_of_the_tracks_file(tmp_path):
     path = tmp_path / "a.csv"
     write_tracks(path, sample_tracks())
     table = pd.read_csv(path)
-    assert " ".join(table.columns) == (
-        "frame time_s marker x_px y_px sd_x_px sd_y_px x_mm y_mm sd_x_mm sd_y_mm flags"
-    )
+    names = "frame time_s marker x_px y_px sd_x_px sd_y_px x_mm y_mm sd_x_mm sd_y_mm flags"
+    assert " ".join(table.columns) == names
     assert len(table) == 12 * 2
 
 

@@ -165,9 +165,8 @@ def test_many_channels_and_samples_that_show_no_axis_of_time_are_refused(tmp_pat
 
 def test_rows_of_channels_without_times_say_which_axis_was_taken_for_time(tmp_path):
     np.save(tmp_path / "a.npy", MOTION.T)
-    with pytest.raises(
-        InputError, match=r"give --rate if it has no times \(The array .* the longer axis is time\)"
-    ):
+    words = r"give --rate if it has no times \(The array .* the longer axis is time\)"
+    with pytest.raises(InputError, match=words):
         read_table(tmp_path / "a.npy")
 
 
@@ -178,9 +177,8 @@ def test_a_table_with_a_row_for_each_channel_is_asked_whether_it_is_transposed(t
     rows = [["time_s", *TIME_S], *([cell, *channel] for channel in MOTION.T)]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(",".join(map(str, row)) for row in rows))
-    with pytest.raises(
-        InputError, match=r"transposed. Write a row for each time and a column for each channel"
-    ):
+    words = r"transposed. Write a row for each time and a column for each channel"
+    with pytest.raises(InputError, match=words):
         series_from_table(read_table(path), name="a", unit="mm")
 
 
@@ -211,9 +209,7 @@ def test_a_matlab_structure_is_not_read_into_memory(tmp_path):
     finally:
         tracemalloc.stop()
     np.testing.assert_array_equal(table["a"], MOTION[:, 0])
-    assert peak_bytes < 0.2 * zeros.nbytes, (
-        "NumPy counts its arrays: those of the structure are not among them"
-    )
+    assert peak_bytes < 0.2 * zeros.nbytes, "NumPy counts arrays: those of the structure are not among them"
 
 
 def test_settings_of_a_labview_measurement_without_values_are_those_of_a_usual_one(tmp_path):

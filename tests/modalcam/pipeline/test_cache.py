@@ -119,9 +119,8 @@ def test_a_small_file_does_not_fill_the_memory(tmp_path, announced):
     with zipfile.ZipFile(path) as archive:
         tree = archive.read("tree.npy")
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        header, {"descr": "<f8", "fortran_order": False, "shape": (announced,)}
-    )
+    given = {"descr": "<f8", "fortran_order": False, "shape": (announced,)}
+    np.lib.format.write_array_header_1_0(header, given)
     zeros = bytes(1 if announced > 10**9 else 8 * announced)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tree.npy", tree)

@@ -41,17 +41,8 @@ def test_another_target_in_the_same_folder_is_compared_again(modalcam, tmp_path)
     models = '[damping]\nmodels = ["generic"]\n'
     (tmp_path / "c.toml").write_text(experiment(markers, models, elements=6))
     for mode, zeta in [(2, 0.004), (3, 0.005)]:
-        args = (
-            "identify",
-            tmp_path / "two.csv",
-            "-o",
-            tmp_path / "out",
-            "-c",
-            tmp_path / "c.toml",
-            "--unit",
-            "mm",
-        )
-        assert modalcam(*args, "--mode", mode, "--onset-s", 0)[0] == 0
+        args = ("identify", tmp_path / "two.csv", "-o", tmp_path / "out", "-c", tmp_path / "c.toml")
+        assert modalcam(*args, "--unit", "mm", "--mode", mode, "--onset-s", 0)[0] == 0
         with (tmp_path / "out" / "comparison.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert {int(row["mode"]) for row in rows} == {mode}
@@ -68,19 +59,16 @@ def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
     other = replace(recording, name="other")
     ends = {recording.name: report_runs.comparison(recording.identification), "other": Failure("no", "other")}
 
+    keys = {"comparison": "key", "simulated": "key"}
+
     def both(context, recordings, *_):
         for one in recordings:
-            context.results[one.name] = {"comparison": "key", "simulated": "key"}
-        return [
-            replace(one, comparison=ends[one.name], added={"simulated": Failure("")}) for one in recordings
-        ]
+            context.results[one.name] = dict(keys)
+        return [replace(r, comparison=ends[r.name], added={"simulated": Failure("")}) for r in recordings]
 
     monkeypatch.setattr("modalcam.pipeline.compare.each_together", both)
     context = Context(ExperimentConfig(), Workspace(tmp_path), None, None, seed=0, force=False)
     (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result(elements=6))
     assert "simulated" in kept.added
     assert "simulated" not in dropped.added
-    assert context.results == {
-        recording.name: {"comparison": "key", "simulated": "key"},
-        "other": {"comparison": "key"},
-    }
+    assert context.results == {recording.name: keys, "other": {"comparison": "key"}}

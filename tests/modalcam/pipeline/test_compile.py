@@ -82,9 +82,7 @@ def called():
 def test_each_group_lists_what_it_calls(called):
     assert set(GROUPS) == {LINES, MARKERS, SIMULATION, DIVISION, DECAYS, FILMS}
     for name, group in zip(NAMES, (LINES, MARKERS, SIMULATION, DIVISION, DECAYS, FILMS), strict=True):
-        assert called[name] == listed(group), (
-            f"{name} of modalcam/pipeline/compile.py must list what it calls"
-        )
+        assert called[name] == listed(group), f"{name} of modalcam/pipeline/compile.py must list its calls"
 
 
 @pytest.mark.timeout(900)
@@ -127,9 +125,7 @@ def check_values(words, *, before):
     found = np.array(words[2:], dtype=float)
     exact = np.array([math.erf(0.1 * k) for k in range(-30, 31)])
     # the last two bits of 1, as its description says
-    assert np.max(np.abs(found - exact)) <= 2**-51, (
-        "fast_erf differs from the error function of the C library"
-    )
+    assert np.max(np.abs(found - exact)) <= 2**-51, "fast_erf differs from that of the C library"
 
 
 @pytest.mark.slow  # in the gate: support.other_processors, whose caches are apart
@@ -154,15 +150,10 @@ def test_kernels_of_a_read_only_installation_are_kept_for_the_user(tmp_path):
     for folder in {path.parent for path in tmp_path.rglob("*.py")}:
         (folder / "__pycache__").touch()
     user = tmp_path / "user"
-    variables = {
-        "PYTHONPATH": str(tmp_path),
-        "NUMBA_CACHE_DIR": "",
-        "XDG_CACHE_HOME": str(user),
-        "HOME": str(user),
-    }
-    words = python(
-        TWO_COMMANDS, **variables | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT / 'tests'}"}
-    ).split()
+    variables = dict.fromkeys(("XDG_CACHE_HOME", "HOME"), str(user))
+    variables |= {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": ""}
+    both = {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT / 'tests'}"}
+    words = python(TWO_COMMANDS, **variables | both).split()
     n = len(FILMS.called)
     assert words == ["first", "begin", "True", str(n), *["advance"] * n, "next"]
     check_values(python(FILM_KERNELS, **variables).split(), before="0")
@@ -196,9 +187,8 @@ def test_identify_says_that_it_compiles_and_the_next_time_does_not(tmp_path):
     table = tmp_path / "decay.csv"
     np.savetxt(table, np.column_stack([time_s, decay + noise]), delimiter=",", header="time_s,x", comments="")
     first, second = (identified(table, tmp_path / name, tmp_path / "cache") for name in ("first", "second"))
-    assert (
-        f"compiling, first run on this machine: computed {len(DIVISION.called) + len(DECAYS.called)}" in first
-    )
+    count = len(DIVISION.called) + len(DECAYS.called)
+    assert f"compiling, first run on this machine: computed {count}" in first
     assert "compiling" not in second
     modes = [(tmp_path / name / "modes.csv").read_bytes() for name in ("first", "second")]
     assert modes[0] == modes[1]

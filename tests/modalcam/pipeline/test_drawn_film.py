@@ -53,6 +53,5 @@ def test_a_drawn_film_without_motion_has_none(tmp_path):
     series = displacement_series(film(tmp_path, 0.0, background=200, smooth=True, frames=200))
     found = identify(series, IdentifySettings())
     assert not found
-    assert found.reason.startswith(
-        "no channel has a usable signal: Channels m1, m2, m3 were left out: no motion"
-    )
+    words = "no channel has a usable signal: Channels m1, m2, m3 were left out: no motion"
+    assert found.reason.startswith(words)

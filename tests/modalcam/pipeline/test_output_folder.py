@@ -12,9 +12,7 @@ from modalcam.pipeline import Outputs, RememberedHashes, RunRecord, Source, Work
 def test_a_run_record_is_read_back(tmp_path):
     workspace = Workspace(tmp_path / "out")
     workspace.prepare(inputs=None, force=False)
-    record = RunRecord(
-        "f", (Source("a", "a.avi", "00", 3),), ExperimentConfig(), 5, "modalcam run f", ("note",)
-    )
+    record = RunRecord("f", (Source("a", "a.avi", "00", 3),), ExperimentConfig(), 5, "run f", ("note",))
     workspace.write_record(record)
     assert workspace.read_record() == record
 

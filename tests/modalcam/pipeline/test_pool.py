@@ -44,9 +44,8 @@ def test_this_process_works_while_tasks_run(tmp_path):
         yield "second"
 
     with worker_pool(1, Limits(seconds=60.0)) as pool:
-        assert pool.map(behave, [f"wait-for {path}"], meanwhile=steps()) == [("WAIT-FOR", "1")], (
-            "no step was taken"
-        )
+        waited = pool.map(behave, [f"wait-for {path}"], meanwhile=steps())
+        assert waited == [("WAIT-FOR", "1")], "no step was taken"
         untouched = steps()
         assert pool.map(behave, [], meanwhile=untouched) == []
         assert next(untouched) == "first", "a step was taken although there was no task"

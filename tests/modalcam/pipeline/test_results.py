@@ -19,6 +19,4 @@ def test_the_figure_shows_each_mode_with_its_interval():
     for recording, line, bars in zip(result.recordings, axes.lines, axes.collections, strict=True):
         modes = recording.identified.modes
         assert list(line.get_xdata()) == [mode.frequency_hz for mode in modes]
-        assert [tuple(bar[:, 1]) for bar in bars.get_segments()] == [
-            mode.damping_interval() for mode in modes
-        ]
+        assert [tuple(b[:, 1]) for b in bars.get_segments()] == [mode.damping_interval() for mode in modes]

@@ -55,7 +55,7 @@ def not_tracked(name, reason):
 
 def scaled(recording, factor):
     if factor < 0:
-        msg = "negative factor"
+        msg = "below zero"
         raise RuntimeError(msg)
     return (recording.name, factor)
 
@@ -196,9 +196,7 @@ def test_a_failed_task_gives_a_falsy_result_that_is_not_saved(context, tmp_path)
     broken = Inline(errors=True)
     context = Context(**vars(context) | {"pool": WorkerPool(broken.submit, Limits())})
     result = SCALING.run(context, inputs(tmp_path, factor=-1.0))
-    assert result["a"] == FailedTracking(
-        "internal error, please report it: RuntimeError: negative factor", "a"
-    )
+    assert result["a"] == FailedTracking("internal error, please report it: RuntimeError: below zero", "a")
     assert result["b"]
     assert list(context.results) == ["b"]
     assert not context.workspace.state("a", "scaled").exists()

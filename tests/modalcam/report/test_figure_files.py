@@ -44,9 +44,8 @@ def test_each_figure_has_its_files_data_and_caption(tmp_path):
     assert np.min(np.abs(drawn - low)) < 1e-12 * high, "the interval is in the data"
     decay = recordings[0].comparison.models[1]
     simulated = [row for row in rows(first[2]) if row["label"] == "simulated, Rayleigh damping"]
-    assert [(float(r["x"]), float(r["y"])) for r in simulated] == [
-        (decay.frequency_hz, 100.0 * decay.damping_ratio)
-    ]
+    point = (decay.frequency_hz, 100.0 * decay.damping_ratio)
+    assert [(float(r["x"]), float(r["y"])) for r in simulated] == [point]
     assert {row["panel"] for row in rows(first[8])} == {"1", "2"}
 
     again = write_figures(result, tmp_path / "b", columns=1)

@@ -82,9 +82,8 @@ def test_a_change_redraws_only_the_figures_that_show_it(tmp_path, drawn):
     build_report(short_run(), Cache(tmp_path))
     drawn.clear()
     tracks = short_run().recordings[0].tracks
-    page = build_report(
-        short_run(tracks=replace(tracks, time_axis=runs.PLAYBACK), name="other"), Cache(tmp_path)
-    )
+    guessed = replace(tracks, time_axis=runs.PLAYBACK)
+    page = build_report(short_run(tracks=guessed, name="other"), Cache(tmp_path))
     assert "The time axis is a playback rate" in page
     assert drawn == ["extremes"], "it has the name of the recording"
     drawn.clear()

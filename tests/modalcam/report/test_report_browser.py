@@ -114,9 +114,7 @@ def test_the_result_takes_two_screens_and_all_else_is_folded(changed_page):
     """Verdict, picture, one row for each target and failed checks; all else is folded, and can be unfolded."""
     page = changed_page
     page.set_viewport_size({"width": 1280, "height": 800})
-    assert page.locator(".hero").bounding_box()["y"] < 400, (
-        "the picture is in the upper half of the first screen"
-    )
+    assert page.locator(".hero").bounding_box()["y"] < 400, "the picture is in the upper half of the screen"
     assert page.locator("#checks").bounding_box()["y"] < 1600, "the checks are in the second screen"
     assert page.locator("#modes table.modes").first.locator("tbody tr").count() == 5
     assert page.locator("details[open]").count() == 0
@@ -125,9 +123,7 @@ def test_the_result_takes_two_screens_and_all_else_is_folded(changed_page):
 
 
 @pytest.mark.parametrize(("size", "width_mm", "height_mm"), [("A4", 210, 297), ("Letter", 215.9, 279.4)])
-def test_a_page_for_each_recording_is_printed_and_none_is_half_empty(
-    changed_page, paper_run, size, width_mm, height_mm
-):
+def test_a_printed_page_of_each_recording_none_half_empty(changed_page, paper_run, size, width_mm, height_mm):
     page, count = changed_page, len(paper_run.recordings)
     pages = printed(page, size)
     ratios = page.locator("#modes table.modes:not(.also) td:nth-child(4) data").all_text_contents()
@@ -196,9 +192,7 @@ def test_a_link_opens_the_folded_section_it_leads_to(changed_page):
 
 @pytest.mark.parametrize("unfolded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_axe_finds_nothing(opened, one_html, unfolded):
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
-    )
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe-playwright-python")
     page = opened(one_html, color_scheme="light")
     for scheme, rules in (("light", None), ("dark", {"runOnly": ["color-contrast"]})):
         # all other rules concern the elements alone
@@ -211,16 +205,13 @@ def test_axe_finds_nothing(opened, one_html, unfolded):
 
 def test_every_measured_number_equals_the_summary(paper_page, paper_run):
     table = json.loads(json.dumps(summary(paper_run)))
-    known = {
-        m[key] for r in table["recordings"] for m in r["modes"] for key in ("frequency_hz", "damping_ratio")
-    }
+    known = {m[k] for r in table["recordings"] for m in r["modes"] for k in ("frequency_hz", "damping_ratio")}
     columns = ("damping_ratio_simulated", "frequency_simulated_hz", "nrmse")
     known |= {row[key] for row in table["comparison"] for key in columns}
     sums = [score[key] for score in table["scores"] for key in ("log_density", "crps")]
     known |= {one["total"] / one["samples"] for one in sums}
-    known |= {score["coverage"] for score in table["scores"]} | {
-        s["log_density_gain"]["total"] for s in table["scores"]
-    }
+    known |= {score["coverage"] for score in table["scores"]}
+    known |= {s["log_density_gain"]["total"] for s in table["scores"]}
     for selector in ("table.modes", "table.comparison", "table.scores"):
         shown = [float(v.get_attribute("value")) for v in paper_page.locator(f"{selector} data").all()]
         assert len(shown) >= 6
@@ -349,9 +340,7 @@ def test_a_figure_is_zoomed_by_keys(opened, one_html):
 @pytest.mark.parametrize(
     ("plots", "scripts"), [("interactive", True), ("interactive", False), ("static", True)]
 )
-def test_the_page_says_and_shows_the_same_with_and_without_its_script(
-    opened, build, one_result, plots, scripts
-):
+def test_the_page_says_and_shows_the_same_without_its_script(opened, build, one_result, plots, scripts):
     html = build(one_result, plots=plots)
     if plots == "static":
         assert "script" not in html[: html.index("<style>")], "the policy of the page allows none"
@@ -373,8 +362,6 @@ def test_no_script_but_that_of_the_page_runs(browser, tmp_path, one_html):
     path.write_text(html, encoding="utf-8")
     page = browser.new_page()
     page.goto(path.as_uri())
-    assert page.evaluate("() => [window.PWN === undefined, document.documentElement.className]") == [
-        True,
-        "zoomable",
-    ]
+    state = page.evaluate("() => [window.PWN === undefined, document.documentElement.className]")
+    assert state == [True, "zoomable"]
     page.close()

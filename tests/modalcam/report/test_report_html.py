@@ -54,9 +54,8 @@ def test_updating_states_what_the_data_and_the_prior_determine(paper_run, paper_
     updated, words = paper_run.beam.updated, Page(paper_html).words
     found, bound = updated.bayesian, f"{100 * updated.paper.smallest_bound:.1f} %"
     all_of_them = found.determined + found.undetermined
-    assert re.search(
-        rf"\b{found.determined} directions .*\b{all_of_them} \w+; .*\b{found.undetermined}\b", words
-    )
+    numbers = rf"\b{found.determined} directions .*\b{all_of_them} \w+; .*\b{found.undetermined}\b"
+    assert re.search(numbers, words)
     assert f"{len(updated.paper.at_bound)} variables" in words
     assert re.search(rf"Without gravity.{{0,80}} {bound}", words)
     assert re.search(r"modes favour smooth .* with gravity", words) is not None
@@ -75,9 +74,8 @@ def test_the_places_of_a_point_mass_are_listed_with_its_odds(build):
         log_odds=-np.log(20.0),
     )
     beam = runs.beam_result(elements=6)
-    result = runs.run_result(
-        [runs.recording(0)], beam=replace(beam, updated=replace(beam.updated, point_mass=found))
-    )
+    updated = replace(beam.updated, point_mass=found)
+    result = runs.run_result([runs.recording(0)], beam=replace(beam, updated=updated))
     words = Page(build(result)).words
     assert "lacks has odds of 20 : 1 against it" in words
     assert re.search(r"300.0 to 400.0 mm with 0.40 to 0.40 g \(58 %\); or at 100.0 to 200.0 mm", words)
@@ -97,9 +95,8 @@ def test_the_stiffness_of_the_clamp_is_listed_with_its_odds(build):
         log_odds=np.log(20.0),
     )
     beam = runs.beam_result(elements=6)
-    result = runs.run_result(
-        [runs.recording(0)], beam=replace(beam, updated=replace(beam.updated, clamp=found))
-    )
+    updated = replace(beam.updated, clamp=found)
+    result = runs.run_result([runs.recording(0)], beam=replace(beam, updated=updated))
     words = Page(build(result)).words
     assert "An elastic clamp has odds of 20 : 1 in its favour" in words
     # a tenth of the draws of the first is below the limit of a side that is not closed, a twentieth of the second
@@ -312,17 +309,12 @@ def test_a_fit_without_data(name, build):
     good = runs.recording(0, seconds=1.0)
     values = getattr(good.identification, name)
     empty = np.zeros_like(values) if name == "used" else np.full_like(values, np.nan)
-    assert_sound(
-        build(runs.run_result([replace(good, identification=replace(good.identification, **{name: empty}))]))
-    )
+    found = replace(good.identification, **{name: empty})
+    assert_sound(build(runs.run_result([replace(good, identification=found)])))
 
 
 def test_the_files_beside_the_page_are_linked():
-    contents = [
-        ("tracks/a b%.csv", "tracks"),
-        ("tracks/<c>.csv", "tracks"),
-        ("modes.csv", "modes with `mode`"),
-    ]
+    contents = [("tracks/a b%.csv", "tracks"), ("tracks/<c>.csv", "tracks"), ("modes.csv", "modes of `mode`")]
     html = build_report(runs.run_result([]), contents=contents)
     page = Page(html)
     links = [unquote(v) for v in page.values("href") if not v.startswith(("#", "https://doi.org/"))]

@@ -17,9 +17,8 @@ def noisy_tracks(stated=0.02, sd=0.02, n=3000):
     x = 60 + swing + sd * rng.standard_normal((n, k))
     y = 100 + 0.1 * swing + sd * rng.standard_normal((n, k))
     stated_sd = np.full((n, k), stated)
-    return replace(
-        tracks, x_px=x, y_px=y, sd_x_px=stated_sd, sd_y_px=stated_sd, flags=np.zeros((n, k), np.uint32)
-    )
+    flags = np.zeros((n, k), np.uint32)
+    return replace(tracks, x_px=x, y_px=y, sd_x_px=stated_sd, sd_y_px=stated_sd, flags=flags)
 
 
 @pytest.mark.parametrize("stated", [0.01, 0.02, 0.04])

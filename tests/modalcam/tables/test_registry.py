@@ -142,9 +142,8 @@ def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, w
     assert not (tmp_path / "universal").exists()
     assert (tmp_path / "posterior" / "take.nc").exists()
     (note,) = with_missing_formats(result).not_done
-    assert note == (
-        "universal/<recording>.uff was not written: pyuff not installed; install with pip install pyuff."
-    )
+    told = "universal/<recording>.uff was not written: pyuff not installed; install with pip install pyuff."
+    assert note == told
 
 
 def test_reading_a_universal_file_names_the_missing_library(tmp_path, monkeypatch):

@@ -18,9 +18,7 @@ POSITIONS_MM = 500.0 * (np.arange(40) + 0.5) / 40
 def recording(name, positions_mm, amplitude_mm):
     shape = amplitude_mm * np.exp(0.4j) * mode_shape(2, positions_mm / 500.0)
     time_s = np.arange(50) / 500.0
-    found = identification(
-        [(11.4, 0.003, shape, 2)], time_s=time_s, positions_mm=positions_mm, fit_from_s=0.0
-    )
+    found = identification([(11.4, 0.003, shape, 2)], time_s=time_s, positions_mm=positions_mm, fit_from_s=0)
     return RecordingResult(name, f"{name}.avi", "00", 2, identification=found)
 
 

@@ -23,9 +23,8 @@ DAMPING, DAMPING_SD = 0.003, 2e-5
 def template():
     """Summary of a run of one recording of mode 1 and one whose mode has no number."""
     named = runs.recording(0, number=1, frequency_hz=FREQUENCY_HZ, damping_ratio=DAMPING)
-    tree = json.loads(
-        json.dumps(summary(runs.run_result([named, runs.recording(1, number=2, file="b.avi")])))
-    )
+    found = summary(runs.run_result([named, runs.recording(1, number=2, file="b.avi")]))
+    tree = json.loads(json.dumps(found))
     tree["recordings"][1]["modes"][0]["mode"] = None
     return tree
 
@@ -140,16 +139,11 @@ def test_modes_without_a_number_are_matched_by_frequency(tmp_path):
     def unnumbered(tree):
         tree["recordings"][0]["modes"][0]["mode"] = None
 
-    near = [
-        write_run(tmp_path / f"near{k}", [10.0 + 0.1 * k], [DAMPING], change=unnumbered) for k in range(2)
-    ]
+    near = [write_run(tmp_path / f"near{k}", [10 + 0.1 * k], [DAMPING], change=unnumbered) for k in range(2)]
     assert compare_runs(near).modes[0].name == "10.05 Hz"
     numbered = write_run(tmp_path / "numbered", [10.2], [DAMPING])
-    assert [run.run for run in compare_runs([*near, numbered]).modes[0].frequency.runs] == [
-        "near0",
-        "near1",
-        "numbered",
-    ]
+    names = [run.run for run in compare_runs([*near, numbered]).modes[0].frequency.runs]
+    assert names == ["near0", "near1", "numbered"]
     far = write_run(tmp_path / "far", [11.0], [DAMPING], change=unnumbered)
     assert compare_runs([*near, far]).notes == ("11 Hz was identified in far alone.",)
     with pytest.raises(InputError, match="no mode in common"):

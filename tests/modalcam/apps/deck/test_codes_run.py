@@ -123,10 +123,8 @@ def test_the_response_of_calculix_with_the_deck_is_that_of_theory(tmp_path):
             deck=deck(paper_damping(), "calculix"),
         )
     )
-    environment = {"OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}
-    subprocess.run(
-        [shutil.which("ccx"), "-i", "b"], cwd=tmp_path, env=environment, check=True, capture_output=True
-    )
+    given = {"OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}
+    subprocess.run([shutil.which("ccx"), "-i", "b"], cwd=tmp_path, env=given, check=True, capture_output=True)
     text = (tmp_path / "b.dat").read_text()
     head = text.partition("P A R T I C I P A T I O N   F A C T O R S   F O R")[0]
     rows = [line.split() for line in head.splitlines()]

@@ -111,12 +111,9 @@ def test_markers_are_drawn_where_the_mode_moves_them():
     tracks, found = made.tracks, made.identification
     film = marker_film(tracks, found, found.target, factor=20.0)
     assert film.images.shape[0] == FRAMES
-    assert film.largest_px == pytest.approx(20.0 * np.max(np.abs(found.target.shape)), rel=1e-9), (
-        "1 mm is 1 px"
-    )
-    shape = found.target.shape * np.exp(
-        -1j * np.angle(found.target.shape[np.argmax(np.abs(found.target.shape))])
-    )
+    assert film.largest_px == pytest.approx(20 * np.max(np.abs(found.target.shape)), rel=1e-9), "1 mm is 1 px"
+    shape = found.target.shape
+    shape = shape * np.exp(-1j * np.angle(shape[np.argmax(np.abs(shape))]))
     margin = np.array(film.images.shape[1:]) - tracks.first_frame.shape
     for k in range(len(found.series.channels)):
         at = np.array([np.nanmedian(tracks.y_px[:, k]), np.nanmedian(tracks.x_px[:, k])]) + margin // 2

@@ -49,10 +49,8 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path, monkey
     assert again.read_bytes() == path.read_bytes()
     # The exposure of a frame at the onset would begin before the simulation does.
     stated = ExperimentConfig.for_recording
-    exposure = {"exposure_s": 2.0 / FPS}
-    monkeypatch.setattr(
-        ExperimentConfig, "for_recording", lambda *one: stated(*one).model_copy(update=exposure)
-    )
+    given = {"exposure_s": 2.0 / FPS}
+    monkeypatch.setattr(ExperimentConfig, "for_recording", lambda *one: stated(*one).model_copy(update=given))
     assert film_run(options, "take", again, Progress()) == count - 1
     with pytest.raises(InputError, match="there is no recording other; it holds take"):
         film_run(options, "other", again, Progress())

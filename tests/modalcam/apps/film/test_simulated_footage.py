@@ -125,9 +125,8 @@ def test_simulated_dots_follow_linear_theory_in_every_view(view):
             reach_x, reach_y = (12, 4) if upright else (4, 12)
             left, top = round(x) - reach_x, round(y) - reach_y
             part = image[top : top + 2 * reach_y + 1, left : left + 2 * reach_x + 1].astype(float)
-            found, true = (
-                (centroid(part, 200.0)[0] + left, x) if upright else (centroid(part, 200.0)[1] + top, y)
-            )
+            at = centroid(part, 200.0)
+            found, true = (at[0] + left, x) if upright else (at[1] + top, y)
             # Rounding of pixels (sd 0.29) moves it by 0.0015 px; the rest are the effects named below.
             assert abs(found - true) < 0.02, (view, row)
     # Large rotation and the interpolation between the steps each contribute about 1e-3 of the amplitude.
@@ -182,9 +181,7 @@ def test_footage_is_cropped_and_reduced_and_its_noise_is_estimated(tmp_path):
     tracks, found = recorded("upright", frames=120)
     height, width = tracks.decode.height_px, tracks.decode.width_px
     rng = np.random.default_rng(5)
-    images = np.clip(np.rint(180.0 + 2.5 * rng.standard_normal((120, height, width))), 0, 255).astype(
-        np.uint8
-    )
+    images = np.clip(np.rint(180 + 2.5 * rng.standard_normal((120, height, width))), 0, 255).astype(np.uint8)
     path = tmp_path / "take.mkv"
     write(path, images, codec="ffv1", rate=30)
     footage = read_kept_frames(path, tracks, found, 10.0)

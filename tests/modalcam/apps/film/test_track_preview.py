@@ -62,9 +62,8 @@ def test_marks_are_at_the_positions_and_poor_fits_are_red():
     tracks = sample_tracks()
     flags = tracks.flags.copy()
     flags[1, 0] = POOR_FIT.value
-    tracks = replace(
-        tracks, decode=decoded(12, size=(300, 300)), flags=flags, y_px=np.full_like(tracks.y_px, 200.0)
-    )
+    y_px = np.full_like(tracks.y_px, 200.0)
+    tracks = replace(tracks, decode=decoded(12, size=(300, 300)), flags=flags, y_px=y_px)
     plain = np.zeros((300, 300), np.uint8)
     good, poor = annotate(plain, tracks, 0), annotate(plain, tracks, 1)
     yellow = (good[..., 2] > 200) & (good[..., 1] > 150)

@@ -205,14 +205,12 @@ def test_a_run_writes_the_moduli_of_its_bar_without_an_interval(samples_run):
     assert list(table.loc["E"].index) == [1, 2, 3, 4, 5]
     sizes = {"length_m": 0.5, "thickness_m": 0.5e-3, "density_kg_m3": 8000.0}
     for number, row in table.loc["E"].iterrows():
-        assert row.value == pytest.approx(
-            1e-9 * float(bar_modulus(row.frequency_hz, number, **sizes)), rel=1e-12
-        )
+        expected = 1e-9 * float(bar_modulus(row.frequency_hz, number, **sizes))
+        assert row.value == pytest.approx(expected, rel=1e-12)
     assert table.loc["E", ["sd", "q05", "q95"]].isna().all(axis=None), "[beam] has no standard deviations"
     assert (table.loc["loss_factor", "sd"] > 0.0).all()
-    assert f"| `material.csv` | {REGISTERED['material.csv'].about} |" in (
-        ROOT / "docs" / "files.md"
-    ).read_text("utf-8")
+    page = (ROOT / "docs" / "files.md").read_text("utf-8")
+    assert f"| `material.csv` | {REGISTERED['material.csv'].about} |" in page
 
 
 SDS = "length_sd_mm = 1.0\nthickness_sd_mm = 0.005\ndensity_sd_kg_m3 = 0.0\n"
@@ -229,9 +227,8 @@ def test_the_section_of_the_report_has_intervals_where_beam_has_standard_deviati
     assert "computed with the equations of ASTM E756-05(2017)" in section
     assert "conform" not in section
     for state in ("Holds.", "Does not hold.", "Not known."):
-        assert section.count(f"<strong>{state}</strong>") == sum(
-            f"{c.state}." == state.lower() for c in found.conditions
-        )
+        count = sum(f"{c.state}." == state.lower() for c in found.conditions)
+        assert section.count(f"<strong>{state}</strong>") == count
     e, eta = of(found, "E", 2), of(found, "loss_factor", 2)
     assert f'<data value="{e.value}">' in section
     assert interval(eta.q05, eta.q95, eta.sd) in section
@@ -248,13 +245,8 @@ def test_only_a_clamped_bar_with_numbered_modes_has_moduli():
     run = run_result(paper_recordings(2), beam=beam_result())
     held = replace(run.beam, standard=replace(run.beam.standard, ends=("clamped", "clamped")))
     thin = replace(run.beam, standard=run.beam.standard.scaled(thickness=np.repeat([1.0, 0.9], 10)))
-    for none in (
-        replace(run, beam=None),
-        replace(run, beam=held),
-        replace(run, beam=thin),
-        replace(run, recordings=()),
-    ):
-        assert of_run(none) is None
+    for change in ({"beam": None}, {"beam": held}, {"beam": thin}, {"recordings": ()}):
+        assert of_run(replace(run, **change)) is None
     assert "#material" not in build_report(run, plots="static")
 
 

@@ -59,10 +59,8 @@ def html():
 def words_with(measured, truth=NOTHING):
     """Words of the page with other measured modes, without figures for speed."""
     table = tables.table_2(measured, truth)
-    found = replace(
-        page(), truth=truth, table2=table, checks=checks(table, (), paper()), panels=(), models=()
-    )
-    return assert_sound(paper_html(found)).words
+    new = replace(page(), truth=truth, table2=table, checks=checks(table, (), paper()), panels=(), models=())
+    return assert_sound(paper_html(new)).words
 
 
 def moved(mode, frequency_factor, damping_factor):
@@ -168,9 +166,8 @@ def test_hostile_names_are_escaped():
 def test_a_beam_other_than_the_papers_is_reported():
     run = run_of_table_2()
     other = replace(run.beam, standard=replace(run.beam.standard, density_kg_m3=7850.0))
-    words = assert_sound(
-        paper_html(replace(page(), result=replace(run, beam=other), panels=(), models=()))
-    ).words
+    shown = replace(page(), result=replace(run, beam=other), panels=(), models=())
+    words = assert_sound(paper_html(shown)).words
     assert "not that of Table 1: density 7850 kg/m³ instead of 8000." in words
     assert "is not that of Table 1" not in Page(html()).words
 

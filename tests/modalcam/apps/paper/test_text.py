@@ -58,6 +58,4 @@ def test_variables_at_their_bound_are_named_in_ranges():
         "5 of them end at the bound: density at −10 % and width of elements 2 to 4 and 9 at +10 %"
     )
     assert bound.at_bound(update()) == "none of them ends at the bound"
-    assert bound.at_bound(update(elements=[0])) == (
-        "1 of them ends at the bound: width of element 1 at +10 %"
-    )
+    assert bound.at_bound(update(elements=[0])) == "1 of them ends at the bound: width of element 1 at +10 %"

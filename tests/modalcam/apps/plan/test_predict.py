@@ -56,9 +56,8 @@ def test_limits_and_expected_failures_are_reported(plan_of):
 def test_a_nonlinear_amplitude_is_reported_with_the_largest_linear_one(plan_of):
     (large,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [1.5], "decay_s": 2.0}))
     assert large.linear_tip_mm < 1.0
-    (small,) = predict(
-        plan_of(plan={"modes": [3], "tip_amplitude_mm": [0.99 * large.linear_tip_mm], "decay_s": 2.0})
-    )
+    tip_mm = 0.99 * large.linear_tip_mm
+    (small,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [tip_mm], "decay_s": 2.0}))
     assert small.linear_tip_mm == float("inf")
     texts = [text for text in advice(Plan(plan_of(), (large,))) if "amplitude-dependent" in text]
     assert len(texts) == 1

@@ -35,9 +35,8 @@ def test_missing_and_mismatched_keys_are_named(changes, words, plan_of):
 
 
 def test_every_missing_key_of_the_beam_and_of_a_recording_is_named_at_once():
-    with pytest.raises(
-        ConfigError, match=r"beam\.length_mm, .*beam\.density_kg_m3, beam\.elastic_modulus_mpa"
-    ):
+    keys = r"beam\.length_mm, .*beam\.density_kg_m3, beam\.elastic_modulus_mpa"
+    with pytest.raises(ConfigError, match=keys):
         plan_request(ExperimentConfig(), "experiment.toml")
     with pytest.raises(ConfigError, match=r"camera\.fps .*camera\.mm_per_px .*markers\.positions_mm"):
         request()
@@ -89,9 +88,8 @@ def test_the_sample_recordings_are_planned_with_their_rates_scales_and_markers()
         (4, 500.0, 1.0),
         (5, 600.0, 1.0),
     ]
-    assert [type(m.markers[0]).__name__ for m in modes] == ["DotMarker"] * 2 + ["ArucoMarker"] + [
-        "DotMarker"
-    ] * 2
+    kinds = [type(m.markers[0]).__name__ for m in modes]
+    assert kinds == ["DotMarker"] * 2 + ["ArucoMarker"] + ["DotMarker"] * 2
     assert modes[2].positions_mm[0] == 15.0
     assert {m.camera.exposure_s for m in modes} == {5e-4}
 

@@ -32,11 +32,7 @@ def ask(path="/", query="", method="GET", kind="http", **headers):
     async def send(message):
         sent.append(message)
 
-    listed = [
-        (name.replace("_", "-").encode(), value.encode())
-        for name, value in headers.items()
-        if value is not None
-    ]
+    listed = [(k.replace("_", "-").encode(), v.encode()) for k, v in headers.items() if v is not None]
     scope = {"type": kind, "method": method, "path": path, "query_string": query.encode(), "headers": listed}
     asyncio.run(GUARD(scope, receive, send))
     found = {name.decode(): value.decode() for name, value in sent[0].get("headers", ())}

@@ -35,12 +35,8 @@ def test_points_are_added_moved_and_deleted_with_their_positions(draft):
     edit.add_point(draft, "a.avi", (30.5, 40.0))
     edit.move_point(draft, "a.avi", 0, (11.0, 21.0))
     edit.set_positions(draft, "a.avi", "0, 90.5")
-    expected = {
-        "file": "a.avi",
-        "kind": "patch",
-        "points_px": [[11.0, 21.0], [30.5, 40.0]],
-        "positions_mm": [0.0, 90.5],
-    }
+    points = [[11.0, 21.0], [30.5, 40.0]]
+    expected = {"file": "a.avi", "kind": "patch", "points_px": points, "positions_mm": [0.0, 90.5]}
     assert entry(draft) == expected
     edit.delete_point(draft, "a.avi", 0)
     assert entry(draft) == expected | {"points_px": [[30.5, 40.0]], "positions_mm": [90.5]}
@@ -129,12 +125,8 @@ def test_regions_are_added_and_deleted(draft):
 def test_a_line_and_a_scale_from_two_clicks_each(draft):
     edit.set_line(draft, "a.avi", (10.0, 20.0), (10.0, 220.0))
     edit.set_scale(draft, "a.avi", ((0.0, 0.0), (30.0, 40.0)), 25.0)
-    assert entry(draft) == {
-        "file": "a.avi",
-        "kind": "line",
-        "line_px": [[10.0, 20.0], [10.0, 220.0]],
-        "mm_per_px": 0.5,
-    }
+    line = {"kind": "line", "line_px": [[10.0, 20.0], [10.0, 220.0]]}
+    assert entry(draft) == {"file": "a.avi", "mm_per_px": 0.5} | line
     with pytest.raises(ModalcamError, match="two that are far apart"):
         edit.set_scale(draft, "a.avi", ((3.0, 3.0), (3.5, 3.0)), 25.0)
 
@@ -176,9 +168,8 @@ def test_the_overlay_shows_the_kind_that_is_followed():
     assert 'width="41.00"' in overlay(patches)
     round_ = patches.model_copy(update={"patch_shape": "round"})
     assert shapes(overlay(round_))[0] == ("circle", "window")
-    line = RecordingConfig(
-        file="a", kind="line", line_px=((0.0, 0.0), (0.0, 100.0)), stations=11, points_px=((1, 2),)
-    )
+    ends = ((0.0, 0.0), (0.0, 100.0))
+    line = RecordingConfig(file="a", kind="line", line_px=ends, stations=11, points_px=((1, 2),))
     drawn = re.findall(r'station" cx="([\d.]+)" cy="([\d.]+)"', overlay(line))
     assert [float(y) for _, y in drawn] == [0.5 + 10.0 * k for k in range(11)]
     assert "window" not in overlay(line)
@@ -186,21 +177,12 @@ def test_the_overlay_shows_the_kind_that_is_followed():
 
 def test_the_overlay_shows_positions_and_regions():
     """A region from pixel 10 to pixel 19 covers ten pixels from the corner of the first one."""
-    recording = RecordingConfig(
-        file="a",
-        kind="patch",
-        points_px=((5.0, 6.0),),
-        positions_mm=(90.5,),
-        leave_out_px=(((19.0, 4.0), (10.0, 8.0)),),
-    )
+    left_out = ((19.0, 4.0), (10.0, 8.0))
+    patch = {"kind": "patch", "points_px": ((5.0, 6.0),), "positions_mm": (90.5,)}
+    recording = RecordingConfig(file="a", leave_out_px=(left_out,), **patch)
     region, *_, name = ET.fromstring(f"<svg>{overlay(recording)}</svg>")  # noqa: S314 - made here
-    assert region.attrib == {
-        "class": "left-out",
-        "x": "10.00",
-        "y": "4.00",
-        "width": "10.00",
-        "height": "5.00",
-    }
+    place = {"x": "10.00", "y": "4.00", "width": "10.00", "height": "5.00"}
+    assert region.attrib == {"class": "left-out"} | place
     assert name.text == "m1, 90.5 mm"
 
 

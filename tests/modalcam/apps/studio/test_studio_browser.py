@@ -93,17 +93,14 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
 @pytest.mark.slow  # the same frame view is that of the studio, above
 def test_picked_points_are_printed(tmp_path):
     write_decay(tmp_path)
-    with running_studio("pick", tmp_path / "take.mkv", cwd=tmp_path, address_on="stderr") as (
-        address,
-        process,
-    ):
+    with running_studio("pick", tmp_path / "take.mkv", cwd=tmp_path, address_on="stderr") as (address, ran):
         with opened(address) as page:
             page.get_by_text("of 140 (0 to 139)").wait_for()
             click_frame(page, 20, 12)
             page.get_by_role("button", name="Delete m1").wait_for()
             page.get_by_role("button", name="Done").click()
             page.get_by_text("This page can be closed").wait_for()
-        printed = tomllib.loads(process.stdout.read())
+        printed = tomllib.loads(ran.stdout.read())
     (entry,) = printed["recordings"]
     assert entry["file"] == "take.mkv"
     assert entry["kind"] == "patch"

@@ -109,9 +109,7 @@ def test_the_command_writes_a_lens_for_the_configuration(images, tmp_path, modal
     assert "8 images used, rms reprojection error" in out
     assert "left out (board not detected well enough): blank.png" in out
     config = tmp_path / "experiment.toml"
-    config.write_text(
-        '[camera]\nlens = "camera.toml"\nreadout_s = 1e-3\n[markers]\nplane_mm = [[0.0, 1.0]]\n'
-    )
+    config.write_text('[camera]\nlens = "camera.toml"\nreadout_s = 1e-3\n[markers]\nplane_mm = [[0, 1]]\n')
     loaded = load_config(config)
     settings = tracker_settings(loaded.for_recording("a.avi"))
     assert settings.lens.focal_px == pytest.approx(TRUTH.focal_px, rel=5e-3)

@@ -52,9 +52,8 @@ def paint(svg):
     image = np.full(size, 255, np.uint8)
     for path in black_paths(svg):
         for corners in outlines(path, "ML"):
-            (left, top), (right, bottom) = np.round(
-                np.array([corners.min(0), corners.max(0)]) * PX_PER_MM
-            ).astype(int)
+            ends = np.array([corners.min(0), corners.max(0)]) * PX_PER_MM
+            (left, top), (right, bottom) = np.round(ends).astype(int)
             image[top:bottom, left:right] = 0
     return image
 
@@ -158,9 +157,7 @@ def test_the_command_writes_the_file(tmp_path, modalcam, options):
     ("squares", "square_mm", "marker_mm", "dictionary", "paper"),
     [((7, 5), 30.0, 22.0, "DICT_4X4_50", "a4"), ((5, 7), 25.0, 19.0, "DICT_5X5_100", "letter")],
 )
-def test_the_board_is_the_one_that_calibrate_detects(
-    tmp_path, squares, square_mm, marker_mm, dictionary, paper
-):
+def test_calibrate_detects_the_board(tmp_path, squares, square_mm, marker_mm, dictionary, paper):
     board = Board(*squares, square_mm, marker_mm, dictionary)
     save_pages(tmp_path / "board.svg", [board_page(board, paper)])
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))

@@ -23,10 +23,8 @@ def with_severities(*pairs):
 
 
 def test_each_severity_has_its_place():
-    result = with_severities(
-        ("HARMONIC", "WRONG"), ("AMPLITUDE_DEPENDENT", "INTERVAL"), ("LOW_SNR", "INFORMATION")
-    )
-    wrong, interval = alerts(result)
+    pairs = (("HARMONIC", "WRONG"), ("AMPLITUDE_DEPENDENT", "INTERVAL"), ("LOW_SNR", "INFORMATION"))
+    wrong, interval = alerts(with_severities(*pairs))
     assert (wrong.kind, wrong.name) == ("wrong", "HARMONIC")
     assert (interval.kind, interval.name) == ("interval", "AMPLITUDE_DEPENDENT")
     assert wrong.places == interval.places == (("r1", "recording_1, Mode 1"),)

@@ -44,9 +44,8 @@ def test_the_findings_name_the_best_model_and_the_failures_of_the_other(recordin
     assert f"({thousands(rayleigh.log_density_gain.samples)} samples)".replace("\u202f", " ") in text
     assert rayleigh.log_density_gain.samples == sum(r.comparison.used.sum() for r in recordings)
     assert generic.crps.mean < rayleigh.crps.mean
-    assert generic.log_density.mean - rayleigh.log_density.mean == pytest.approx(
-        rayleigh.log_density_gain.mean
-    )
+    gain = generic.log_density.mean - rayleigh.log_density.mean
+    assert gain == pytest.approx(rayleigh.log_density_gain.mean)
 
 
 def test_models_with_equal_scores(recordings):
@@ -73,18 +72,16 @@ def test_a_worse_first_model_is_compared_over_the_recordings_of_the_other(record
         return replace(comparison, models=models if comparison.mode_number < 3 else (generic,))
 
     (text,) = sentences(changed(recordings, better_rayleigh))
-    assert text.startswith(
-        "Rayleigh damping predicts better than generic damping: over 2 recordings (200 samples)"
-    )
+    words = "Rayleigh damping predicts better than generic damping: over 2 recordings (200 samples)"
+    assert text.startswith(words)
 
 
 def test_a_constant_stiffness_is_explained_where_it_differs(recordings):
     def constant_stiffness(comparison):
         rayleigh = comparison.models[1]
         factor = 16.6 if comparison.mode_number == 1 else 1.0
-        constant = replace(
-            rayleigh, model="rayleigh_constant_k", damping_ratio=factor * rayleigh.damping_ratio, note=""
-        )
+        ratio = factor * rayleigh.damping_ratio
+        constant = replace(rayleigh, model="rayleigh_constant_k", damping_ratio=ratio, note="")
         return replace(comparison, models=(*comparison.models, constant), tip_amplitude_mm=20.0)
 
     result = changed(recordings, constant_stiffness)
@@ -164,9 +161,8 @@ def test_damping_laws_are_listed_with_the_prediction_of_each_mode_and_the_parts(
 def test_two_laws_of_one_evidence_are_named_together():
     """Ratios that follow no frequency: a value for each mode, by whatever curve between the modes."""
     beam = runs.beam_result(elements=6)
-    irregular = replace(
-        beam.laws.measured, damping_ratio=(3e-3, 3e-2, 3e-4, 1e-2, 8e-4), damping_sd=(1e-6,) * 5
-    )
+    ratios = (3e-3, 3e-2, 3e-4, 1e-2, 8e-4)
+    irregular = replace(beam.laws.measured, damping_ratio=ratios, damping_sd=(1e-6,) * 5)
     words = laws_shown(replace(beam, laws=compare_laws(irregular)))
     assert (
         "Of 18 laws, generic damping or Caughey damping, which differ between the modes only, is the most"

@@ -54,9 +54,7 @@ def test_disagreeing_recordings_are_reported_with_a_larger_sd():
     assert re.search(between + r" and damping ratios \(", words), "0.06 Hz apart: 0.06 / sqrt(2)"
     assert " differ " in words.partition("Agreement of the recordings")[2]
     (mode,) = measured_modes(pair.recordings)
-    assert mode.frequency_sd_hz == pytest.approx(0.03, rel=1e-3), (
-        "half the distance of two equally good values"
-    )
+    assert mode.frequency_sd_hz == pytest.approx(0.03, rel=1e-3), "half the distance of equally good values"
     assert mode.damping_ratio_sd == pytest.approx(0.0002, rel=0.02)
 
 
@@ -86,9 +84,8 @@ def test_the_amplitude_has_its_sd_if_a_channel_is_not_used():
 
 
 def test_one_recording_has_no_comparison():
-    assert (
-        "Agreement of the recordings" not in Page(build_report(result(recording("a", 26.84, 0.0028)))).words
-    )
+    page = build_report(result(recording("a", 26.84, 0.0028)))
+    assert "Agreement of the recordings" not in Page(page).words
 
 
 def test_checks_of_a_good_fit_and_of_a_travelling_wave():

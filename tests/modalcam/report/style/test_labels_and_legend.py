@@ -36,9 +36,7 @@ def test_labels_stay_apart_within_the_axes_and_off_the_symbols():
     assert not any(box.contains(*centre) for box in boxes for centre in centres)
     # A label nearest to the symbol of another mode would name that one.
     for mode, box in enumerate(boxes[:5]):
-        outside = [
-            (max(box.x0 - x, x - box.x1, 0.0), max(box.y0 - y, y - box.y1, 0.0)) for x, y in centres[:5]
-        ]
+        outside = [(max(box.x0 - x, x - box.x1, 0), max(box.y0 - y, y - box.y1, 0)) for x, y in centres[:5]]
         assert int(np.argmin(np.hypot(*np.transpose(outside)))) == mode, f"mode {mode + 1}"
     frame = axes.get_window_extent().padded(1.0)
     assert all(frame.x0 <= b.x0 and b.x1 <= frame.x1 and frame.y0 <= b.y0 and b.y1 <= frame.y1 for b in boxes)
