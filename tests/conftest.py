@@ -177,15 +177,9 @@ def samples_run(shared_folder):
         name, page = ("paper", "paper.html") if APPS else ("run", "report.html")
         command = [sys.executable, "-m", "support.samples_command", name, SAMPLES, "-o", folder / "out"]
         # The shorter runs of other tests measure the coverage; it would double the time of this one.
-        done = subprocess.run(
-            command,
-            cwd=ROOT,
-            env=packages_environment() | {"NUMBA_DEBUG_CACHE": "1"},
-            capture_output=True,
-            text=True,
-            timeout=840,
-            check=False,
-        )
+        environment = packages_environment() | {"NUMBA_DEBUG_CACHE": "1"}
+        given = {"cwd": ROOT, "env": environment, "capture_output": True, "text": True, "timeout": 840}
+        done = subprocess.run(command, **given, check=False)
         assert done.returncode == 0, done.stderr
         lines = done.stdout.splitlines()
         kernels = [line for line in lines if line.startswith("[cache]")]

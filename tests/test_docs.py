@@ -27,14 +27,8 @@ from tracker import REGISTRY
 
 PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 FOLDERS = sorted({path.parent for name in PACKAGES for path in (ROOT / name).rglob("*.py")})
-DOCS = sorted(
-    [
-        *(ROOT / "docs").rglob("*.md"),
-        *(folder / "README.md" for folder in FOLDERS),
-        ROOT / "README.md",
-        ROOT / "CONTRIBUTING.md",
-    ]
-)
+READMES = [*(folder / "README.md" for folder in FOLDERS), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+DOCS = sorted([*(ROOT / "docs").rglob("*.md"), *READMES])
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # Directives of the documentation, sources that are quoted, and what a command prints.
 NOT_CODE = re.compile(r"\{[a-z-]+\}|text|bibtex|jinja|$")

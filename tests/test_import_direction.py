@@ -7,35 +7,21 @@ import pytest
 from support.paths import ROOT
 
 # What each package may import of the others: prefixes of the names of the modules that define it.
+RESULTS = ("results", "position_errors", "scale_change", "flags", "settings_base")
+BASIC = ("tracker.arrays", "tracker.checks", "tracker.columns")
 PACKAGES = {
     "tracker": (),
-    "modal_id": (
-        "tracker.results",
-        "tracker.position_errors",
-        "tracker.scale_change",
-        "tracker.arrays",
-        "tracker.checks",
-        "tracker.columns",
-        "tracker.settings_base",
-        "tracker.flags",
-    ),
-    "sim": ("modal_id.results", "tracker.arrays", "tracker.checks", "tracker.columns"),
+    "modal_id": (*BASIC, *(f"tracker.{name}" for name in RESULTS)),
+    "sim": (*BASIC, "modal_id.results"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
 # Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests, and films,
 # tracks and records made for both the benchmark and the tests.
-SHARED = (
-    "docs.reference_solutions.",
-    "benchmarks.film_scenes.",
-    "benchmarks.line_scenes.",
-    "benchmarks.ambient_scenes.",
-    "benchmarks.known_input_scenes.",
-    "benchmarks.camera_motion.",
-    "benchmarks.random_records.",
-    "benchmarks.converted_rates.",
-)
+SCENES = ("film_scenes", "line_scenes", "ambient_scenes", "known_input_scenes", "camera_motion")
+SCENES += ("random_records", "converted_rates")
+SHARED = ("docs.reference_solutions.", *(f"benchmarks.{name}." for name in SCENES))
 
 
 @cache

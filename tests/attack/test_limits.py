@@ -145,13 +145,9 @@ def test_an_interrupt_of_the_start_ends_in_one_line(handler):
 @pytest.mark.skipif(os.name != "posix", reason="a shell closes the streams")
 @pytest.mark.parametrize("stream", [1, 2])
 def test_a_closed_stream_changes_no_exit_code(tmp_path, stream):
-    ended = subprocess.run(
-        [sys.executable, "-m", "modalcam", "check-config", str(tmp_path / "absent.toml")],
-        preexec_fn=lambda: os.close(stream),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-m", "modalcam", "check-config", tmp_path / "absent.toml"]
+    given = {"preexec_fn": lambda: os.close(stream), "capture_output": True, "text": True}
+    ended = subprocess.run(command, **given, check=False)
     assert ended.returncode == ExitCode.USAGE
     assert "Traceback" not in ended.stdout + ended.stderr
 

@@ -18,30 +18,10 @@ from tracker.video import UnreadableVideoError, open_recording
 KIND = '[markers]\nkind = "blob"\n'
 PATCH = '[markers]\nkind = "patch"\npoints_px = [[16.0, 8.0]]\nsize_px = 9.0\n'
 TURNS = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
-NAMES = [
-    b"\xff\xfe.avi",
-    b"new\nline.avi",
-    b"tab\t.avi",
-    b"esc\x1b[2J.avi",
-    b"%02d.avi",
-    b"-v.avi",
-    b"a:b.avi",
-]
-NAMES += [
-    b"$1_$^.avi",
-    b" space.avi",
-    b"CON.avi",
-    b"..avi",
-    b"=cmd|' C'!A0.avi",
-    b"<img src=x onerror=PWN=1>.avi",
-]
-NAMES += [
-    "\u202eright.avi".encode(),
-    "\U0001f600.avi".encode(),
-    b"{{7*7}}.avi",
-    b'"onload=.avi',
-    b"x" * 251 + b".avi",
-]
+NAMES = [b"\xff\xfe.avi", b"new\nline.avi", b"tab\t.avi", b"esc\x1b[2J.avi", b"%02d.avi", b"-v.avi"]
+NAMES += [b"a:b.avi", b"$1_$^.avi", b" space.avi", b"CON.avi", b"..avi", b"=cmd|' C'!A0.avi"]
+NAMES += [b"<img src=x onerror=PWN=1>.avi", "\u202eright.avi".encode(), "\U0001f600.avi".encode()]
+NAMES += [b"{{7*7}}.avi", b'"onload=.avi', b"x" * 251 + b".avi"]
 
 
 def turned(path, degrees):

@@ -10,13 +10,8 @@ from support.paths import APPS, COMMANDS_OF_APPS
 from modalcam.common import ExitCode
 
 LONG = "9" * 5000
-NO_END = [
-    ("--time-limit", "inf"),
-    ("--time-limit", "nan"),
-    ("--memory-limit", "inf"),
-    ("--memory-limit", "1e30"),
-]
-NO_END += [("--fps", "1e999999999"), ("--fps", LONG), ("--fps", "1/0")]
+NO_END = [("--time-limit", "inf"), ("--time-limit", "nan"), ("--memory-limit", "inf")]
+NO_END += [("--memory-limit", "1e30"), ("--fps", "1e999999999"), ("--fps", LONG), ("--fps", "1/0")]
 IDENTIFY = "identify table.csv -o out"
 WRITING = ["run videos -o", "figures videos -o", "studio videos -o", "init videos -o", "markers -o", "demo"]
 # A command, what it says, and the text of experiment.toml.

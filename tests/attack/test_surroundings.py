@@ -16,14 +16,8 @@ from modalcam.commands import Options, identify
 from modalcam.config import RecordingConfig
 from modalcam.pipeline import Progress
 
-ODD = {
-    "LANG": "C",
-    "LC_ALL": "C",
-    "PYTHONCOERCECLOCALE": "0",
-    "PYTHONUTF8": "0",
-    "TZ": "Pacific/Chatham",
-    "HOME": "/proc/none",
-}
+ODD = {"LANG": "C", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+ODD |= {"TZ": "Pacific/Chatham", "HOME": "/proc/none"}
 
 
 # One figure shows that drawing works there; without a process of its own, which would import for seconds.
@@ -47,19 +41,11 @@ def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process, no_fig
     write_csv(csv)
     recording = RecordingConfig(file=csv.name)
     identify(csv, Options(tmp_path / "plain"), Progress(), unit="1", recording=recording)
-    done = subprocess.run(
-        [sys.executable, "-c", ONE_FIGURE, "identify", csv.name, "-o", "odd"],
-        cwd=tmp_path,
-        env=os.environ
-        | {
-            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
-            "MPLCONFIGDIR": mpl.get_cachedir(),
-        }
-        | ODD,
-        capture_output=True,
-        timeout=240,
-        check=False,
-    )
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    environment = os.environ | {"PYTHONPATH": path, "MPLCONFIGDIR": mpl.get_cachedir()} | ODD
+    command = [sys.executable, "-c", ONE_FIGURE, "identify", csv.name, "-o", "odd"]
+    given = {"cwd": tmp_path, "env": environment, "capture_output": True, "timeout": 240}
+    done = subprocess.run(command, **given, check=False)
     assert done.returncode == 0, done.stderr[-500:]
     assert b"\x1b" not in done.stderr
     table = (tmp_path / "plain" / "modes.csv").read_bytes()
@@ -89,14 +75,9 @@ def test_libraries_that_do_not_fit_end_in_one_line(tmp_path, limit, megabytes):
         f"resource.setrlimit(resource.RLIMIT_{limit}, ({megabytes} * 2**20,) * 2);"
         "sys.argv[0] = 'modalcam'; main()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "track", str(SAMPLES / "mode5.avi"), "-o", str(tmp_path / "out")],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    command = [sys.executable, "-c", code, "track", SAMPLES / "mode5.avi", "-o", tmp_path / "out"]
+    given = {"env": os.environ | {"PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
+    done = subprocess.run(command, **given, timeout=240, check=False)
     assert done.returncode == 2, done.stderr
     assert f"but this process may use {megabytes} MB (RLIMIT_{limit}" in done.stderr
     assert len(done.stderr.splitlines()) == 1

@@ -34,16 +34,10 @@ def test_the_decay_of_exudyn_with_the_deck_is_ours(number, step_s):
     theirs = ExudynBeam(load(), beam, state, matrix[4:, 4:], matrix_in_tangent=True).run(
         DURATION_S, step_s, EVERY_S
     )[1]
-    run = simulate(
-        beam,
-        GenericDamping(MEASURED_DAMPING_RATIO, residual_ratio=0.0),
-        state=state,
-        duration_s=DURATION_S,
-        step_s=step_s,
-        output_positions_m=np.array([beam.properties.length_m]),
-        output_every=round(EVERY_S / step_s),
-        modes=modes,
-    )
+    law = GenericDamping(MEASURED_DAMPING_RATIO, residual_ratio=0.0)
+    given = {"duration_s": DURATION_S, "step_s": step_s, "output_every": round(EVERY_S / step_s)}
+    at_m = np.array([beam.properties.length_m])
+    run = simulate(beam, law, state=state, output_positions_m=at_m, modes=modes, **given)
     difference = np.abs(run.transverse_m[:, 0] - theirs[: run.time_s.size, 1]).max() / TIP_M
     assert difference < 1e-3, (
         "its steps shift the phase by (omega h)^2 omega T / 12 = 4e-4 in both modes, and the modes of both linearised "

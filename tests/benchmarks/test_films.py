@@ -53,24 +53,10 @@ def test_a_rendered_film_is_where_its_truth_says():
 
 
 def test_a_table_row_counts_and_scores():
-    trial = {
-        "kind": "dots",
-        "codec": "MJPG",
-        "amplitude_px": 1.0,
-        "frames": 1500,
-        "frequency_hz": 10.0,
-        "zeta": 0.004,
-        "frequency_found_hz": 10.0002,
-        "frequency_sd_hz": 1e-4,
-        "zeta_sd": 1e-5,
-        "zeta_low": 0.00398,
-        "zeta_high": 0.00402,
-        "frequency_low_hz": 10.00003,
-        "frequency_high_hz": 10.00037,
-        "position_error": 0.02,
-        "position_sd": 0.01,
-        "bound": 5e-6,
-    }
+    trial = {"kind": "dots", "codec": "MJPG", "amplitude_px": 1.0, "frames": 1500, "frequency_hz": 10.0}
+    trial |= {"zeta": 0.004, "zeta_sd": 1e-5, "zeta_low": 0.00398, "zeta_high": 0.00402, "bound": 5e-6}
+    trial |= {"frequency_found_hz": 10.0002, "frequency_sd_hz": 1e-4, "frequency_low_hz": 10.00003}
+    trial |= {"frequency_high_hz": 10.00037, "position_error": 0.02, "position_sd": 0.01}
     failed = {**trial, **dict.fromkeys(("zeta_found", "zeta_sd", "zeta_low", "zeta_high"), np.nan)}
     trials = pd.DataFrame([{**trial, "zeta_found": 0.00401}, {**trial, "zeta_found": 0.00403}, failed])
     cells = [cell.strip() for cell in row(trials).split("|")]

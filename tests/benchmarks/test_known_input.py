@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.series import series_of
 from kit.tracks import tracks_of
 
 from benchmarks.known_input_scenes import (
@@ -29,17 +30,8 @@ _LIMIT = 4.0
 
 
 def _series(one: Record, input_sd: float = float("nan")) -> DisplacementSeries:
-    n, k = one.values.shape
-    return DisplacementSeries(
-        name="simulated",
-        time_s=one.time_s,
-        channels=("y1", "y2", "y3"),
-        values=one.values,
-        sd=np.full((n, k), np.nan),
-        unit="mm",
-        positions_mm=np.full(k, np.nan),
-        known_input=KnownInput("base", one.base, "mm", sd=input_sd),
-    )
+    known = KnownInput("base", one.base, "mm", sd=input_sd)
+    return series_of(one.time_s, one.values, "mm", channels=("y1", "y2", "y3"), known_input=known)
 
 
 def _found(series: DisplacementSeries) -> Identification:

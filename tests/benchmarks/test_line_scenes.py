@@ -6,14 +6,8 @@ from scipy.special import ndtr
 
 from benchmarks.line_scenes import LineScene, mode_shape
 
-SCENE = LineScene(
-    length_px=180.0,
-    shape=(220, 76),
-    clamp_px=(38.3, 16.6),
-    modes=(5,),
-    tip_px=(4.0,),
-    cycles_per_frame=(0.0913,),
-)
+SHAKEN = {"modes": (5,), "tip_px": (4.0,), "cycles_per_frame": (0.0913,)}
+SCENE = LineScene(length_px=180.0, shape=(220, 76), clamp_px=(38.3, 16.6), **SHAKEN)
 
 
 def test_pixels_are_the_area_under_the_profile_at_the_distance_from_the_curve():

@@ -19,28 +19,14 @@ def perfect(seed):
     only_drive = "only drive" in truth.traits
     kinds = {"rest": "at rest", "held": "disturbed"}
     modes = [
-        {
-            "frequency_hz": f,
-            "frequency_sd_hz": 0.01 * f,
-            "zeta": zeta,
-            "zeta_sd": 0.01 * zeta,
-            "zeta_90": (0.98 * zeta, 1.02 * zeta),
-            "small_zeta": (zeta, 0.01 * zeta),
-            "target": k == 0,
-            "amplitude": 1.0,
-            "wrong_flags": (),
-        }
+        {"frequency_hz": f, "frequency_sd_hz": 0.01 * f, "zeta": zeta, "zeta_sd": 0.01 * zeta}
+        | {"zeta_90": (0.98 * zeta, 1.02 * zeta), "small_zeta": (zeta, 0.01 * zeta)}
+        | {"target": k == 0, "amplitude": 1.0, "wrong_flags": ()}
         for k, (f, zeta) in enumerate(truth.modes[: truth.excited])
     ]
-    return {
-        "set": "parts",
-        "seed": seed,
-        "cpu_s": 1.0,
-        "peak_mb": 1,
-        "kind": "driven" if only_drive else "modes",
-        "modes": [] if only_drive else modes,
-        "parts": [(kinds.get(p.kind, p.kind), p.start / RATE_HZ, (p.end - 1) / RATE_HZ) for p in truth.parts],
-    }
+    parts = [(kinds.get(p.kind, p.kind), p.start / RATE_HZ, (p.end - 1) / RATE_HZ) for p in truth.parts]
+    answered = {"kind": "driven", "modes": []} if only_drive else {"kind": "modes", "modes": modes}
+    return {"set": "parts", "seed": seed, "cpu_s": 1.0, "peak_mb": 1, "parts": parts} | answered
 
 
 def test_the_truth_has_a_perfect_score():

@@ -94,11 +94,8 @@ def test_generic_damping_predicts_the_decay_and_rayleigh_overestimates_the_highe
 def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffness(out):
     summary = json.loads((out / "summary.json").read_text())
     generic, rayleigh, constant = summary["scores"]
-    assert [s["model"] for s in (generic, rayleigh, constant)] == [
-        "generic",
-        "rayleigh",
-        "rayleigh_constant_k",
-    ]
+    names = [s["model"] for s in (generic, rayleigh, constant)]
+    assert names == ["generic", "rayleigh", "rayleigh_constant_k"]
     for other in (rayleigh, constant):
         gain = other["log_density_gain"]
         assert gain["total"] > 10.0 * gain["se"] > 0.0

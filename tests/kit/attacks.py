@@ -68,22 +68,10 @@ def write_csv(path):
 def write_uff(path, binary=0):
     pyuff = pytest.importorskip("pyuff", reason="the extra modalcam[uff] is not installed")
     time_s, values = decay_table()
-    data = pyuff.prepare_58(
-        binary=binary,
-        func_type=1,
-        rsp_node=1,
-        rsp_dir=3,
-        ref_node=0,
-        ref_dir=0,
-        abscissa_spec_data_type=17,
-        ordinate_spec_data_type=8,
-        ordinate_axis_units_lab="mm",
-        abscissa_spacing=1,
-        orddenom_spec_data_type=0,
-        z_axis_spec_data_type=0,
-        x=time_s,
-        data=values,
-    )
+    codes = {"func_type": 1, "rsp_node": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "abscissa_spacing": 1}
+    codes |= dict.fromkeys(("orddenom_spec_data_type", "z_axis_spec_data_type"), 0)
+    codes |= {"abscissa_spec_data_type": 17, "ordinate_spec_data_type": 8, "ordinate_axis_units_lab": "mm"}
+    data = pyuff.prepare_58(binary=binary, x=time_s, data=values, **codes)
     with warnings.catch_warnings():
         # pyuff opens a binary file a second time and does not close it.
         warnings.simplefilter("ignore", ResourceWarning)

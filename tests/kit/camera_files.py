@@ -53,18 +53,8 @@ CIHX = """<?xml version="1.0" encoding="utf-8"?>
 def write_photron(header, images, *, bits, shift=0, **changes):
     """A header, its format by the suffix, and its .mraw file."""
     height, width = images[0].shape
-    values = {
-        "rate": 30000,
-        "frames": len(images),
-        "step": 1,
-        "width": width,
-        "height": height,
-        "color": "Mono",
-        "bits": bits,
-        "depth": bits,
-        "side": "Lower",
-        **changes,
-    }
+    values = {"rate": 30000, "frames": len(images), "step": 1, "width": width, "height": height}
+    values |= {"color": "Mono", "bits": bits, "depth": bits, "side": "Lower"} | changes
     if header.suffix == ".cih":
         header.write_text(CIH.format(**values))
     else:

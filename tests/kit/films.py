@@ -22,6 +22,7 @@ EXPERIMENT = experiment(
 FPS_DOTS, FPS_BALL = 22.67, 60.0
 DOTS_X_PX, DOT_RADIUS_PX = 90.0 + 130.0 * np.arange(5), 10.5
 BALL_RADIUS_PX, BALL_HZ, BALL_ZETA = 33.0, 0.9758, 8e-4
+FORMATS = {"mjpeg": "yuvj420p", "ffv1": "gray", "libx264": "yuv420p", "rawvideo": "gray", "mpeg4": "yuv420p"}
 
 
 def dots(centres_px, *, shape=(HEIGHT, WIDTH), radius_px=6.0, contrast=170.0, noise=1.5, seed=1, depth=8):
@@ -121,17 +122,10 @@ def write(
 ):
     """Write gray images; `pts` in ticks of `time_base` sets uneven or invalid time stamps."""
     height, width = images[0].shape
-    formats = {
-        "mjpeg": "yuvj420p",
-        "ffv1": "gray",
-        "libx264": "yuv420p",
-        "rawvideo": "gray",
-        "mpeg4": "yuv420p",
-    }
     with av.open(str(path), "w", format=container_format) as container:
         stream = container.add_stream(codec, rate=Fraction(rate), options=options or {})
         stream.width, stream.height = width, height
-        stream.pix_fmt = pixel_format or formats[codec]
+        stream.pix_fmt = pixel_format or FORMATS[codec]
         if codec == "mjpeg":
             stream.codec_context.qmin = stream.codec_context.qmax = 2
         if time_base is not None:

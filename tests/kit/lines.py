@@ -54,13 +54,6 @@ def followed(scene: LineScene, frames, *, calibration=64, times=None, **options)
         off = values[:2].T - points
         across.append(np.sum(off * normals, axis=1))
         along.append(off[:, 0] * normals[:, 1] - off[:, 1] * normals[:, 0])
-    return Followed(
-        model,
-        arc,
-        np.array(across),
-        np.array(along),
-        np.hypot(out[:, 2], out[:, 3]),
-        out[:, 0],
-        np.stack([r.marks for r in results]),
-        np.stack([r.correlation for r in results]),
-    )
+    sd, marks = np.hypot(out[:, 2], out[:, 3]), np.stack([r.marks for r in results])
+    correlation = np.stack([r.correlation for r in results])
+    return Followed(model, arc, np.array(across), np.array(along), sd, out[:, 0], marks, correlation)

@@ -56,36 +56,26 @@ def beam_theory():
 
 def run_mode(rng, frequency_hz, damping_ratio, shape, number, **more):
     """A mode as a run gives it: sampled draws, and the agreement of its shape with theory."""
-    return identified_mode(
-        frequency_hz,
-        damping_ratio,
-        shape,
-        number,
-        rng,
-        scores=lambda rng: rng.standard_normal((4, 1500)),
-        sd=(2e-5, 0.008),
-        r_hat=(1.002, 1.004),
-        ess=(3120.0, 2980.0),
-        autocorrelation_steps=1.6,
-        acceptance=0.61,
-        noise_factor=1.08,
-        laplace_sd=(2e-5 * frequency_hz / 1.05, 0.008 * damping_ratio / 1.04),
-        seed=(1, 2, 3),
-        **({"shape_sd": np.full(shape.size, 0.004), "mac": 0.9987} | more),
-    )
+    drawn = {
+        "scores": lambda rng: rng.standard_normal((4, 1500)),
+        "laplace_sd": (2e-5 * frequency_hz / 1.05, 0.008 * damping_ratio / 1.04),
+    }
+    drawn |= {"sd": (2e-5, 0.008), "r_hat": (1.002, 1.004), "ess": (3120.0, 2980.0), "acceptance": 0.61}
+    drawn |= {"autocorrelation_steps": 1.6, "noise_factor": 1.08, "seed": (1, 2, 3), "mac": 0.9987}
+    drawn |= {"shape_sd": np.full(shape.size, 0.004)}
+    return identified_mode(frequency_hz, damping_ratio, shape, number, rng, **(drawn | more))
 
 
 def amplitude_dependence(amplitude=8.0, frequency_hz=26.84):
     a = np.concatenate([[0.0], np.geomspace(0.02, 1.0, 40)])
+    law = {"law": "saturating", "constant_probability": 0.0, "residual_power": 1.1}
     curve = AmplitudeCurve(
-        amplitude=amplitude * a,
+        amplitude * a,
         damping_ratio=0.0026 + 4e-4 * a / (a + 0.1),
         damping_ratio_sd=2e-5 + 2e-5 * a,
         frequency_hz=frequency_hz - 0.02 * a**2,
         frequency_sd_hz=1e-4 + 0.0 * a,
-        law="saturating",
-        constant_probability=0.0,
-        residual_power=1.1,
+        **law,
         constant_residual_power=33.0,
     )
     return AmplitudeDependence(
@@ -140,18 +130,8 @@ def recording(
         time_s, values, unit, noise_sd, positions_mm, name=file, channels=markers, direction=(1.0, 0.0)
     )
     dependence = amplitude_dependence(amplitude, frequency_hz) if "AMPLITUDE_DEPENDENT" in flags else None
-    modes = [
-        run_mode(
-            rng,
-            frequency_hz,
-            damping_ratio,
-            shape,
-            number,
-            amplitude_unit=unit,
-            flags=tuple(flags),
-            amplitude_dependence=dependence,
-        )
-    ]
+    own = {"amplitude_unit": unit, "flags": tuple(flags), "amplitude_dependence": dependence}
+    modes = [run_mode(rng, frequency_hz, damping_ratio, shape, number, **own)]
     if number == 3:
         modes.append(run_mode(rng, 1.85, 0.01, 0.01 * shape, 1, target=False, amplitude_unit=unit))
     identification = identified(
@@ -183,15 +163,8 @@ def recording(
         first_frame=frame_image(rng, width, height, 20.0 + marked_mm),
         strip=strip(rng, width, height, 20.0 + marked_mm, time_s.size),
     )
-    return RecordingResult(
-        name=f"recording_{index + 1}",
-        file=file,
-        sha256=f"{index:064x}",
-        mode=number,
-        tracks=tracks,
-        series=series,
-        identification=identification,
-    )
+    name, found = f"recording_{index + 1}", {"tracks": tracks, "series": series}
+    return RecordingResult(name, file, f"{index:064x}", number, **found, identification=identification)
 
 
 def strip(rng, width, height, rows, frames):
@@ -229,14 +202,9 @@ RAYLEIGH_ALPHA_1_S, RAYLEIGH_BETA_S = 0.2282, 3.18e-5
 
 
 def scores(found, measured, used, simulated, first):
-    samples = Samples(
-        time_s=found.series.time_s[found.series.time_s >= found.onset.fit_from_s],
-        values=measured,
-        used=used,
-        fitted=first,
-        noise_sd=np.full(first.shape, 0.02),
-        period_s=1.0 / found.target.frequency_hz,
-    )
+    after_s = found.series.time_s[found.series.time_s >= found.onset.fit_from_s]
+    noise_sd = np.full(first.shape, 0.02)
+    samples = Samples(after_s, measured, used, first, noise_sd, period_s=1.0 / found.target.frequency_hz)
     own, other = (Prediction(mean, np.full(mean.shape, 0.02)) for mean in (simulated, first))
     return {
         "log_density": score_sum(samples, log_density, own),
@@ -309,22 +277,16 @@ def beam_result(elements=20):
     standard, frequency_hz = paper_beam(elements=elements), np.array(MEASURED_FREQUENCY_HZ)
     measured = MeasuredModes(np.arange(1, 6), frequency_hz, 2e-5 * frequency_hz)
     updated = update(standard, measured, UpdatingSettings(draws=50))
+    given = (tuple(range(1, 6)), MEASURED_FREQUENCY_HZ, MEASURED_DAMPING_RATIO)
+    data = MeasuredDamping(*given, damping_sd=(3e-5,) * 5, section=beam_section(standard, "steel"))
     return BeamResult(
-        standard=standard,
-        standard_modes=beam_modes(AncfBeam(standard), 5),
+        standard,
+        beam_modes(AncfBeam(standard), 5),
         updated=updated,
         updated_modes=beam_modes(AncfBeam(updated.properties), 5),
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,
         rayleigh_beta_s=RAYLEIGH_BETA_S,
-        laws=compare_laws(
-            MeasuredDamping(
-                tuple(range(1, 6)),
-                MEASURED_FREQUENCY_HZ,
-                MEASURED_DAMPING_RATIO,
-                damping_sd=(3e-5,) * 5,
-                section=beam_section(standard, "steel"),
-            )
-        ),
+        laws=compare_laws(data),
     )
 
 
@@ -332,20 +294,14 @@ def hostile_run():
     """Every hostile name as file, as marker and in every text."""
     quick = {"seconds": 0.6, "positions_mm": np.linspace(50.0, 490.0, len(HOSTILE))}
     whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, time_axis=PLAYBACK, **quick)
-    files = [
-        replace(
-            whole, name=name, file=name, series=None, identification=None, tracks=FailedTracking(name, name)
-        )
-        for name in HOSTILE
-    ]
-    return run_result(
-        (*files, *compared([whole])),
-        folder=HOSTILE[0],
-        not_done=HOSTILE,
-        command_line=" ".join(HOSTILE),
-        resolved_config="\n".join(HOSTILE),
-        versions=((HOSTILE[0], HOSTILE[1]),),
-    )
+    nothing = {"series": None, "identification": None}
+    files = [replace(whole, name=n, file=n, tracks=FailedTracking(n, n), **nothing) for n in HOSTILE]
+    texts = {
+        "command_line": " ".join(HOSTILE),
+        "resolved_config": "\n".join(HOSTILE),
+        "versions": (HOSTILE[:2],),
+    }
+    return run_result((*files, *compared([whole])), folder=HOSTILE[0], not_done=HOSTILE, **texts)
 
 
 def run_result(recordings=(), *, beam=None, not_done=(), folder="beam on the shaker", **more):

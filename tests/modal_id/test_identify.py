@@ -23,14 +23,9 @@ def five_modes(seed, *, fps=500.0, duration_s=6.0, modes=5):
 
 
 def test_five_modes_with_eight_markers():
-    found = identify(
-        five_modes(0),
-        IdentifySettings(
-            mode=4,
-            expected_frequencies_hz=tuple(PAPER_HZ * 1.03),
-            expected_shapes=clamped_free_shapes(EIGHT_MM),
-        ),
-    )
+    theory = {"expected_frequencies_hz": tuple(PAPER_HZ * 1.03)}
+    theory |= {"expected_shapes": clamped_free_shapes(EIGHT_MM)}
+    found = identify(five_modes(0), IdentifySettings(mode=4, **theory))
     assert [mode.number for mode in found.modes] == [1, 2, 3, 4, 5], found.failed
     assert [mode.target for mode in found.modes] == [False, False, False, True, False]
     for mode, frequency, zeta in zip(found.modes, PAPER_HZ, PAPER_ZETA, strict=True):

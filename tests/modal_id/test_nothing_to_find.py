@@ -166,14 +166,8 @@ def test_a_beam_in_metres_does_not_hide_the_motion():
     ],
 )
 def test_a_target_off_by_a_thousand_is_named(settings, frequency_hz, words):
-    choice = choose_target(
-        np.array([frequency_hz, 3.0 * frequency_hz]),
-        np.ones((2, 1)),
-        np.ones(2),
-        (None, None),
-        settings,
-        1000.0,
-    )
+    lines_hz = np.array([frequency_hz, 3.0 * frequency_hz])
+    choice = choose_target(lines_hz, np.ones((2, 1)), np.ones(2), (None, None), settings, 1000.0)
     assert choice.index is None
     assert words in choice.why.reason
 

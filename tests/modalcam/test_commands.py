@@ -72,15 +72,13 @@ def environment(folder):
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(folder)])}
 
 
+def ended(words, folder, seconds):
+    given = {"env": environment(folder), "capture_output": True, "text": True, "timeout": seconds}
+    return subprocess.run(words, **given, check=False)
+
+
 def run(folder, out, *args):
-    done = subprocess.run(
-        command(folder, out, *args),
-        env=environment(folder),
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
+    done = ended(command(folder, out, *args), folder, 500)
     return done, " ".join(done.stderr.split())
 
 
@@ -158,9 +156,7 @@ def test_a_run_without_changes_imports_nothing_heavy_and_writes_nothing(folder, 
         "assert not heavy, heavy\n"
     )
     args = [sys.executable, "-c", script, *command(folder, out)[3:]]
-    done = subprocess.run(
-        args, env=environment(folder), capture_output=True, text=True, timeout=60, check=False
-    )
+    done = ended(args, folder, 60)
     assert done.returncode == 0, done.stderr
     assert "up to date" in done.stderr
     assert "generic" not in done.stderr
@@ -269,19 +265,10 @@ class Started:
     def __init__(self, folder, out, pauses, jobs):
         self.pauses = pauses
         pauses.mkdir()
-        self.process = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                FOREGROUND,
-                *command(folder, out, "--plugin", "pauses", "--jobs", jobs, "-v"),
-            ],
-            env=environment(folder) | {"PAUSES": str(pauses)},
-            stderr=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            text=True,
-            start_new_session=True,
-        )
+        words = command(folder, out, "--plugin", "pauses", "--jobs", jobs, "-v")
+        streams = {"stderr": subprocess.PIPE, "stdout": subprocess.DEVNULL, "text": True}
+        given = {"env": environment(folder) | {"PAUSES": str(pauses)}, "start_new_session": True}
+        self.process = subprocess.Popen([sys.executable, "-c", FOREGROUND, *words], **streams, **given)
         self.lines = []
         self.new_line = threading.Condition()
         self.reader = threading.Thread(target=self.read, daemon=True)

@@ -17,15 +17,9 @@ TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 
 def recording(file, *, failure="", failed_modes=(), modes=(), fitting_rate=None):
     proposed = [[10.0, 20.4], [30.0, 40.0]] if failure else None
-    return {
-        "file": file,
-        "failure": failure,
-        "proposed_px": proposed,
-        "failed_modes": list(failed_modes),
-        "modes": list(modes),
-        "fitting_rate": fitting_rate,
-        "tracking": TRACKING,
-    }
+    problem = {"failure": failure, "proposed_px": proposed, "failed_modes": list(failed_modes)}
+    found = {"modes": list(modes), "fitting_rate": fitting_rate, "tracking": TRACKING}
+    return {"file": file} | problem | found
 
 
 def write_summary(folder, *recordings):
@@ -94,19 +88,9 @@ def test_stations_of_a_line_are_not_called_markers(tmp_path, kind, found):
 
 
 def mode_of_summary(number, flags, severities=()):
-    mode = {
-        "target": True,
-        "mode": number,
-        "frequency_hz": 1031.9837,
-        "frequency_sd_hz": 0.0002,
-        "flags": flags,
-    }
-    mode |= {
-        "damping_ratio": 0.123456,
-        "damping_ratio_sd": 1e-5,
-        "damping_ratio_interval_90": [0.12344, 0.12347],
-        "severities": list(severities),
-    }
+    mode = {"target": True, "mode": number, "flags": flags, "severities": list(severities)}
+    mode |= {"frequency_hz": 1031.9837, "frequency_sd_hz": 0.0002, "damping_ratio": 0.123456}
+    mode |= {"damping_ratio_sd": 1e-5, "damping_ratio_interval_90": [0.12344, 0.12347]}
     small = ("frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz")
     small += ("damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd")
     return mode | dict.fromkeys(small, 1.0) | {"decays": [], "notes": []}

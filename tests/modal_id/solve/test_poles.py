@@ -17,14 +17,11 @@ from modal_id.solve import (
 def test_eq_1_solves_the_equation_of_motion():
     omega, zeta, x0, v0 = 11.6, 0.02, 3.0, -8.0
     t = np.linspace(0.0, 4.0, 50)
-    solution = solve_ivp(
-        lambda _, s: [s[1], -2.0 * zeta * omega * s[1] - omega**2 * s[0]],
-        (0.0, 4.0),
-        [x0, v0],
-        t_eval=t,
-        rtol=1e-10,
-        atol=1e-12,
-    )
+
+    def slopes(_, s):
+        return [s[1], -2.0 * zeta * omega * s[1] - omega**2 * s[0]]
+
+    solution = solve_ivp(slopes, (0.0, 4.0), [x0, v0], t_eval=t, rtol=1e-10, atol=1e-12)
     root = complex(pole(omega, zeta))
     # Displacement and velocity at 0 of Re(c exp(root t)).
     c = complex(x0, -(v0 - root.real * x0) / root.imag)

@@ -31,21 +31,12 @@ REQUIRED = {
     "beam.point_masses.mass_g": {"position_mm": 1.0},
     "beam.point_masses.rotary_inertia_g_mm2": {"mass_g": 1.0, "position_mm": 1.0},
     "beam.clamp.translation_n_m": {"rotation_n_m_rad": 1.0},
-    "recordings.leave_out": {"file": "a.avi"},
-    "recordings.input_file": {"file": "a.avi"},
-    "recordings.input_column": {"file": "a.avi"},
-    "recordings.input_unit": {"file": "a.avi"},
-    "recordings.mode": {"file": "a.avi"},
-    "recordings.target_frequency_hz": {"file": "a.avi"},
-    "recordings.reject_hz": {"file": "a.avi"},
-    "recordings.add_hz": {"file": "a.avi"},
-    "recordings.onset_s": {"file": "a.avi"},
-    "recordings.end_s": {"file": "a.avi"},
-    "recordings.components": {"file": "a.avi"},
-    "recordings.excitation": {"file": "a.avi"},
-    "recordings.output_only": {"file": "a.avi"},
-    "recordings.input_lag_ms": {"file": "a.avi"},
 }
+OF_A_FILE = (
+    "leave_out input_file input_column input_unit mode target_frequency_hz reject_hz add_hz onset_s end_s"
+)
+OF_A_FILE += " components excitation output_only input_lag_ms"
+REQUIRED |= {f"recordings.{key}": {"file": "a.avi"} for key in OF_A_FILE.split()}
 
 
 def tree(section, values):

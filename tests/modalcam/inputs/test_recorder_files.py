@@ -197,24 +197,12 @@ def test_netcdf_of_movement(tmp_path, fps):
     """
     xr = pytest.importorskip("xarray", reason="xarray is not installed")
     dims = ("time", "space", "keypoints", "individuals")
-    data = xr.Dataset(
-        {
-            "position": (dims, MOTION[:, :, None, None]),
-            "confidence": (("time", *dims[2:]), np.full((40, 1, 1), 0.9)),
-        },
-        coords={
-            "time": TIME_S if fps else np.arange(40),
-            "space": ["x", "y"],
-            "keypoints": ["tip"],
-            "individuals": ["beam"],
-        },
-        attrs={
-            "source_software": "DeepLabCut",
-            "ds_type": "poses",
-            "time_unit": "seconds" if fps else "frames",
-        }
-        | ({"fps": fps} if fps else {}),
-    )
+    position, confidence = MOTION[:, :, None, None], np.full((40, 1, 1), 0.9)
+    values = {"position": (dims, position), "confidence": (("time", *dims[2:]), confidence)}
+    coords = {"time": TIME_S if fps else np.arange(40), "space": ["x", "y"], "keypoints": ["tip"]}
+    about = {"source_software": "DeepLabCut", "ds_type": "poses"}
+    about |= {"time_unit": "seconds", "fps": fps} if fps else {"time_unit": "frames"}
+    data = xr.Dataset(values, coords=coords | {"individuals": ["beam"]}, attrs=about)
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     assert_read(tmp_path / "a.nc", ["position x", "position y"], rate_hz=None if fps else 250.0)
 

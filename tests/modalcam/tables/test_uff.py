@@ -83,12 +83,13 @@ def function(node, time_s, values, **more):
         "rsp_dir": 3,
         "ref_node": 0,
         "ref_dir": 0,
+        "abscissa_spacing": 1,
+    }
+    given |= dict.fromkeys(("orddenom_spec_data_type", "z_axis_spec_data_type"), 0)
+    given |= {
         "abscissa_spec_data_type": 17,
         "ordinate_spec_data_type": 12,
         "ordinate_axis_units_lab": "m/s^2",
-        "abscissa_spacing": 1,
-        "orddenom_spec_data_type": 0,
-        "z_axis_spec_data_type": 0,
     }
     return pyuff.prepare_58(binary=0, data=values, x=time_s, **(given | more))
 

@@ -10,13 +10,11 @@ from modalcam.common import ConfigError
 from modalcam.pipeline import Progress
 from sim.render import RecordingPlan
 
+BEAM = {"length_mm": 60.0, "thickness_mm": 2.0, "density_kg_m3": 1200.0, "elastic_modulus_mpa": 30.0}
 CONFIG = experiment(
     "[camera]\nfps = 200.0\nmm_per_px = 0.5\nexposure_s = 1e-3\n",
     '[markers]\nkind = "blob"\nsize_mm = 8.0\npositions_mm = [25.0, 55.0]\n',
-    length_mm=60.0,
-    thickness_mm=2.0,
-    density_kg_m3=1200.0,
-    elastic_modulus_mpa=30.0,
+    **BEAM,
     elements=4,
 )
 PLAN = RecordingPlan(mode_number=1, tip_amplitude_m=3e-3, shake_s=0.02, decay_s=0.03)

@@ -61,32 +61,16 @@ def recorded(view, frames=400):
     rest = POSITIONS_MM / SCALE
     x, y = (o + rest * a + moved * c for o, a, c in zip((x0, y0), along, across, strict=True))
     size = [int(v) for v in np.ceil([x.max() + 30, y.max() + 30])]
-    tracks = tracks_of(
-        x,
-        y,
-        fps=FPS,
-        recording="take",
-        positions_mm=POSITIONS_MM,
-        scale=Scale(SCALE, 0.0, "user"),
-        decode=decoded(frames, size=size),
-    )
+    given = {"scale": Scale(SCALE, 0.0, "user"), "decode": decoded(frames, size=size)}
+    tracks = tracks_of(x, y, fps=FPS, recording="take", positions_mm=POSITIONS_MM, **given)
     return tracks, found
 
 
 def blank_footage(tracks, found, noise_sd=0.0):
     rows = chosen_rows(tracks.time_s, 0.0, found.target)
     shape = (rows.size, tracks.decode.height_px, tracks.decode.width_px)
-    return KeptFrames(
-        recording="take",
-        frame=rows,
-        time_s=tracks.time_s[rows],
-        images=np.full(shape, 200, np.uint8),
-        shrink=1,
-        left_px=0,
-        top_px=0,
-        noise_sd=noise_sd,
-        period_s=1.0 / found.target.frequency_hz,
-    )
+    images, time_s = np.full(shape, 200, np.uint8), tracks.time_s[rows]
+    return KeptFrames("take", rows, time_s, images, 1, 0, 0, noise_sd, 1.0 / found.target.frequency_hz)
 
 
 def filmed(view, recording=None, kind="blob", **changes):
@@ -98,20 +82,11 @@ def filmed(view, recording=None, kind="blob", **changes):
     for image, row in zip(images, footage.frame, strict=True):
         for x, y in zip(tracks.x_px[row], tracks.y_px[row], strict=True):
             cv2.circle(image, (round(x), round(y)), 7, 30, -1)
-    return (
-        tracks,
-        footage,
-        film_simulation(
-            replace(footage, images=images),
-            tracks,
-            found,
-            recording or RecordingConfig(file="take.avi", kind="blob", size_mm=10.0),
-            paper_beam(),
-            GenericDamping((RATIO, RATIO)),
-            highest_mode=2,
-            rng=np.random.default_rng(3),
-        ),
-    )
+    recording = recording or RecordingConfig(file="take.avi", kind="blob", size_mm=10.0)
+    drawn, law = replace(footage, images=images), GenericDamping((RATIO, RATIO))
+    given = {"highest_mode": 2, "rng": np.random.default_rng(3)}
+    made = film_simulation(drawn, tracks, found, recording, paper_beam(), law, **given)
+    return tracks, footage, made
 
 
 @pytest.mark.parametrize("view", VIEWS)

@@ -20,13 +20,8 @@ SETUPS = {
     "aruco": (
         {"fps": 30, "mm_per_px": 2.0},
         {"kind": "aruco", "size_mm": 40.0, "positions_mm": [300.0, 460.0]},
-        {
-            "modes": [1],
-            "tip_amplitude_mm": [5.0],
-            "damping_ratio": [0.01],
-            "decay_s": 6.0,
-            "read_noise_sd": 3.0,
-        },
+        {"modes": [1], "tip_amplitude_mm": [5.0], "damping_ratio": [0.01]}
+        | {"decay_s": 6.0, "read_noise_sd": 3.0},
     ),
 }
 

@@ -65,13 +65,8 @@ def test_a_rate_that_does_not_fit_the_beam_is_the_first_failed_check(build):
     found = replace(recording.identification, fitting_rate=fitting)
     words = Page(build(runs.run_result([replace(recording, identification=found)]))).words
     _, _, first = words.partition("First of ")
-    assert (
-        first.partition(": ")[2]
-        .replace(" .", ".")
-        .startswith(
-            "The recorded rate does not fit the beam: 500 Hz fits, not 30 Hz: a ratio of 16.7 (recording_1)."
-        )
-    )
+    words = "The recorded rate does not fit the beam: 500 Hz fits, not 30 Hz: a ratio of 16.7 (recording_1)."
+    assert first.partition(": ")[2].replace(" .", ".").startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -94,21 +89,13 @@ def test_checks_are_in_order_of_their_effect():
     result = with_severities(("AMPLITUDE_DEPENDENT", "INTERVAL"), ("HARMONIC", "WRONG"))
     (recording,) = result.recordings
     mode = recording.identification.modes[0]
-    mode = replace(
-        mode,
-        posterior=replace(mode.posterior, r_hat=(1.2, 1.0), laplace_sd=(1.0, 0.4 * mode.damping_ratio_sd)),
-    )
+    changed = {"r_hat": (1.2, 1.0), "laplace_sd": (1.0, 0.4 * mode.damping_ratio_sd)}
+    mode = replace(mode, posterior=replace(mode.posterior, **changed))
     tracks = replace(recording.tracks, time_axis=runs.PLAYBACK)
     found = replace(recording.identification, modes=(mode,))
     failed = runs.run_result([replace(recording, identification=found, tracks=tracks)])
-    views = [
-        {
-            "anchor": "r1",
-            "recording": recording,
-            "checks": (Check("kurtosis of the residual", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 26.84),),
-            "mpc": 0.5,
-        }
-    ]
+    check = Check("kurtosis of the residual", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 26.84)
+    views = [{"anchor": "r1", "recording": recording, "checks": (check,), "mpc": 0.5}]
     ranked = alerts(failed, views)
     assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
     assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
@@ -144,16 +131,8 @@ def test_the_largest_effect_of_a_check_decides_whether_it_failed(shares, kind, l
         )
         check = Check("unmodelled vibration", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 40.0)
         mode = replace(found.target, posterior=posterior)
-        views.append(
-            {
-                "anchor": anchor,
-                "recording": recording,
-                "found": found,
-                "mode": mode,
-                "checks": (check,),
-                "mpc": 1.0,
-            }
-        )
+        view = {"anchor": anchor, "recording": recording, "found": found, "mode": mode}
+        views.append(view | {"checks": (check,), "mpc": 1.0})
     (alert,) = alerts(runs.run_result([recording]), views)
     assert alert.kind == kind
     assert alert.brief == ("recording recording_3 (line at 40.0 Hz)",) * 2
