@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.identified import in_sd
 from kit.series import series_of
 from kit.tracks import tracks_of
 
@@ -49,10 +50,7 @@ def _check(found: Identification, which: slice = slice(None)) -> None:
 
 
 def _check_mode(mode: IdentifiedMode, hz: float, zeta: float) -> None:
-    scores = (
-        (mode.frequency_hz - hz) / mode.frequency_sd_hz,
-        (mode.damping_ratio - zeta) / mode.damping_ratio_sd,
-    )
+    scores = in_sd(mode, hz, zeta)
     assert np.max(np.abs(scores)) < _LIMIT, f"{mode!r}: {scores} sd from {hz} Hz and {zeta}"
 
 

@@ -6,7 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from kit.films import first_frames
-from kit.series import QUICK, least_squares_fit
+from kit.identified import quick
+from kit.series import least_squares_fit
 from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id import IdentifySettings, identify
@@ -69,9 +70,7 @@ def modes(prongs):
             sd=series.sd[part],
             positions_mm=series.positions_mm[k : k + 1],
         )
-        found = identify(
-            one, IdentifySettings(target_frequency_hz=32.0, seed=1, seed_key=(1, k), sampler=QUICK)
-        )
+        found = quick(one, target_frequency_hz=32.0, seed=1, seed_key=(1, k))
         modes.append(found.target)
         # measured: 0.033 and 0.028 px
         assert found.residual_sd[0] < 0.036

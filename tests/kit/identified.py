@@ -4,8 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from kit.series import pole_of, series_of
-from modal_id import Identification, IdentifiedMode, Onset, Posterior
+from kit.series import QUICK, pole_of, series_of
+from modal_id import Identification, IdentifiedMode, IdentifySettings, Onset, Posterior, identify
+
+
+def quick(series, **settings):
+    """What `identify` finds with few steps of the sampler."""
+    return identify(series, IdentifySettings(sampler=QUICK, **settings))
+
+
+def in_sd(mode, frequency_hz, zeta):
+    """Errors of frequency and damping ratio over their sd, of a mode or of a row of modes.csv."""
+    f = (mode.frequency_hz - frequency_hz) / mode.frequency_sd_hz
+    return np.array([f, (mode.damping_ratio - zeta) / mode.damping_ratio_sd])
+
+
+def assert_inside(mode, frequency_hz, zeta):
+    """Both 99.9 % intervals hold the truth."""
+    intervals = mode.frequency_interval_hz(0.999), mode.damping_interval(0.999)
+    for (low, high), truth in zip(intervals, (frequency_hz, zeta), strict=True):
+        assert low < truth < high, f"{mode}: {truth} is not within {low} and {high}"
 
 
 def normal_scores(rng):

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from modal_id import SamplerSettings
 from sim.render import cantilever_slope
-from tracker import DisplacementSeries
+from tracker import DisplacementSeries, PositionErrors
 
 # Table 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation".
 PAPER_HZ = np.array([1.85, 10.19, 26.84, 53.20, 88.60])
@@ -56,6 +56,14 @@ def series_of(time_s, values, unit="px", sd=np.nan, positions_mm=None, **more):
         "positions_mm": np.full(k, np.nan) if positions_mm is None else positions_mm,
     }
     return DisplacementSeries(time_s=time_s, values=values, unit=unit, **(given | more))
+
+
+def errors_of_positions(k, rows=1, **given):
+    """Errors of positions of `k` channels, which are zero but for `given`: numbers, the same for all channels."""
+    arrays = dict.fromkeys(("rest_px", "px_per_unit", "periodic_sd"), (rows, k))
+    arrays |= dict.fromkeys(("shrinkage", "lag", "shrinkage_sd", "lag_sd", "along_px"), (k,))
+    filled = {name: np.full(size, given.get(name, 0.0)) for name, size in arrays.items()}
+    return PositionErrors(**({"period_px": 1.0, "frame_s": 0.01} | given | filled))
 
 
 def decay(time_s, frequency_hz, zeta, amplitude=1.0, phase=0.7):

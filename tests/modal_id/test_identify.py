@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.identified import assert_inside
 from kit.series import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, one_mode, pole_of, series_of
 
 from modal_id import IdentifySettings, identify
@@ -30,10 +31,7 @@ def test_five_modes_with_eight_markers():
     assert [mode.target for mode in found.modes] == [False, False, False, True, False]
     for mode, frequency, zeta in zip(found.modes, PAPER_HZ, PAPER_ZETA, strict=True):
         assert mode.mac > 0.9999
-        low, high = mode.frequency_interval_hz(0.999)
-        assert low < frequency < high
-        low, high = mode.damping_interval(0.999)
-        assert low < zeta < high
+        assert_inside(mode, frequency, zeta)
         assert mode.posterior.r_hat[0] < 1.02
         assert min(mode.posterior.ess) > 1000
         assert np.all(mode.posterior.damping_ratio > 0.0)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from kit.identified import quick
 from kit.series import QUICK, coloured, decay, one_mode, pole_of, series_of
 from scipy.signal import lfilter
 
@@ -21,14 +22,14 @@ def seeds(fast, count):
 @pytest.mark.parametrize("channels", [1, 6])
 def test_pure_noise_has_no_mode(seed, channels):
     values = np.random.default_rng(seed).standard_normal((T.size, channels))
-    found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T, values))
     assert not found
     assert "no vibration" in found.reason
 
 
 def test_linear_drift_has_no_mode():
     noise = 0.01 * np.random.default_rng(1).standard_normal(T.size)
-    assert not identify(series_of(T, 0.7 * T + noise), IdentifySettings(sampler=QUICK))
+    assert not quick(series_of(T, 0.7 * T + noise))
 
 
 @pytest.mark.parametrize("seed", seeds(2, 6))
@@ -42,17 +43,17 @@ def test_slow_motion_is_not_a_heavily_damped_mode(kind, seed):
         values = np.exp(-rng.uniform(0.1, 5.0) * T) + 0.01 * noise
     else:
         values = coloured(rng, T.size, 0.9)
-    assert not identify(series_of(T, values), IdentifySettings(sampler=QUICK))
+    assert not quick(series_of(T, values))
 
 
 def test_motionless_object_is_refused():
-    found = identify(series_of(T, np.full(T.size, 3.25)), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T, np.full(T.size, 3.25)))
     assert not found
     assert "never changes" in found.reason
 
 
 def test_only_missing_samples_are_refused():
-    found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T, np.full(T.size, np.nan)))
     assert not found
     assert "0 of 2000" in found.reason
 
@@ -71,14 +72,14 @@ def test_a_film_without_frames_is_refused_with_the_number_that_an_identification
 
 
 def test_too_few_samples_are_refused():
-    found = identify(series_of(T[:5], np.sin(T[:5])), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T[:5], np.sin(T[:5])))
     assert not found
     assert "5 samples" in found.reason
 
 
 def test_growing_motion_is_a_failed_mode_with_a_reason():
     values = np.exp((0.5 + 2j * np.pi * 20.0) * T).real + np.random.default_rng(2).normal(0.0, 0.01, T.size)
-    found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T, values))
     assert not found or found.target is None
     if found:
         assert any(mode.target and "does not decay" in mode.reason for mode in found.failed)
@@ -86,9 +87,7 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
 
 def test_reason_names_the_missing_target_mode():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
-    found = identify(
-        series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0), sampler=QUICK)
-    )
+    found = quick(series, mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0))
     assert found.target is None
     (failed,) = [mode for mode in found.failed if mode.target]
     assert not failed
@@ -99,7 +98,7 @@ def test_reason_names_the_missing_target_mode():
 def test_a_constant_channel_is_named_and_excluded():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
     values = np.column_stack([series.values[:, 0], np.zeros(series.time_s.size)])
-    found = identify(series_of(series.time_s, values), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(series.time_s, values))
     assert list(found.channels_used) == [True, False]
     assert any("m1" in note for note in found.notes)
     assert np.isnan(found.target.shape[1])
@@ -109,7 +108,7 @@ def test_frequency_near_nyquist_is_flagged():
     values = np.exp(pole_of(122.0, 0.0005) * T[:1000] * 2.0).real
     time = T[:1000] * 2.0
     values += 0.01 * np.random.default_rng(4).standard_normal(values.size)
-    found = identify(series_of(time, values), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(time, values))
     assert found.target.frequency_hz == pytest.approx(122.0, abs=0.01)
     assert "ALIASED_POSSIBLE" in found.target.flags
     assert any("128" in note for note in found.target.notes)
@@ -131,7 +130,7 @@ def test_a_return_to_rest_without_oscillation_is_named(damping_ratio):
     poles = np.roots([1.0, 2.0 * damping_ratio * 30.0, 30.0**2]).astype(complex)
     y = np.real((poles[0] * np.exp(poles[1] * T) - poles[1] * np.exp(poles[0] * T)) / (poles[0] - poles[1]))
     noise = 0.003 * np.random.default_rng(1).standard_normal(T.size)
-    found = identify(series_of(T, y + noise), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(T, y + noise))
     assert not found
     assert "damping ratios above 0.7 are not identified" in found.reason
 
@@ -181,7 +180,7 @@ def test_the_sway_of_a_hand_is_no_mode():
         radius = np.exp(-0.3 * step)
         sway = lfilter([1.0], [1.0, -2.0 * radius * np.cos(step), radius**2], rng.standard_normal(760))[400:]
         values = 20.0 * sway / np.std(sway) + 0.5 * rng.standard_normal(360)
-        found = identify(series_of(time_s, values), IdentifySettings(sampler=QUICK))
+        found = quick(series_of(time_s, values))
         assert not found or not found.modes, f"seed {seed}: {found.modes}; no part of the motion is a decay"
         assert found or "steady" in found.reason
         assert not found or "may be a drift" in found.failed[0].reason, f"seed {seed}"

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, decay, one_mode, series_of, several_plucks, stopped_by_hand
+from kit.identified import assert_inside, quick
+from kit.series import decay, one_mode, series_of, several_plucks, stopped_by_hand
 
 from modal_id import IdentifySettings, identify
 
@@ -11,14 +12,7 @@ STOPPED = (4.265 * np.hypot(1.0, 0.0045), 0.0045 / np.hypot(1.0, 0.0045))
 
 
 def identified(record, **settings):
-    return identify(series_of(*record), IdentifySettings(sampler=QUICK, **settings))
-
-
-def assert_holds(mode, frequency_hz, zeta):
-    low, high = mode.frequency_interval_hz(0.999)
-    assert low < frequency_hz < high
-    low, high = mode.damping_interval(0.999)
-    assert low < zeta < high
+    return quick(series_of(*record), **settings)
 
 
 def kinds(found):
@@ -35,7 +29,7 @@ def test_a_channel_with_many_gaps_hides_no_event():
     assert kinds(found)[:2] == ["decay", "disturbed"]
     # The search resolves two cycles of 4.265 Hz.
     assert 8.0 - 2.0 / 4.265 < found.segments[0].end_s <= 8.0
-    assert_holds(found.target, *STOPPED)
+    assert_inside(found.target, *STOPPED)
 
 
 def test_onset_before_the_end_of_clipping_refers_the_amplitude_to_the_first_sample_used():
@@ -58,7 +52,7 @@ def test_a_pluck_from_rest_is_no_beat_of_decays_through_the_whole_piece():
     assert kinds(found) == ["at rest", "decay"]
     # A cycle of 14.9 Hz.
     assert found.onset.time_s == pytest.approx(1.0, abs=1.0 / 14.9)
-    assert_holds(found.target, 14.9, 0.008)
+    assert_inside(found.target, 14.9, 0.008)
 
 
 def test_scatter_between_decays_is_in_the_standard_deviation():
@@ -84,7 +78,7 @@ def test_a_ringing_record_with_rising_damping_was_not_shaken():
 def test_end_given_by_the_user():
     t, y = stopped_by_hand()
     found = identified((t, y), onset_s=2.0, end_s=7.0)
-    assert_holds(found.target, *STOPPED)
+    assert_inside(found.target, *STOPPED)
     assert np.flatnonzero(found.used.any(axis=1))[[0, -1]].tolist() == [200, 700]
     assert kinds(found) == ["not used", "decay", "not used"]
 

@@ -4,8 +4,8 @@ import inspect
 
 import numpy as np
 import pytest
+from kit.identified import quick
 from kit.series import (
-    QUICK,
     clamp,
     repeated_end,
     ruler,
@@ -18,14 +18,13 @@ from kit.series import (
     strongly_damped,
 )
 
-from modal_id import IdentifySettings, identify
 from modal_id.posterior import modal_bound
 
 MOST_SD, MOST_BOUNDS = 3.0, 5.0
 
 
 def identified(time_s, values):
-    return identify(series_of(time_s, values), IdentifySettings(sampler=QUICK))
+    return quick(series_of(time_s, values))
 
 
 def bound_of_decay(time_s, frequency_hz, zeta, amplitudes, noise_sd):

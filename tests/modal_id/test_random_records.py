@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from kit.series import QUICK
+from kit.identified import quick
 
 from benchmarks.random_records import random_record
-from modal_id import IdentifySettings, identify
 
 # An answer is wrong beyond this number of stated standard deviations and beyond this share of the truth.
 MOST_SD = 4.0
@@ -18,7 +17,7 @@ MOST_REFUSED = 0.1
 
 def answer(seed):
     record = random_record(seed)
-    return record, identify(record.series, IdentifySettings(sampler=QUICK))
+    return record, quick(record.series)
 
 
 def wrong_answers(record, found):

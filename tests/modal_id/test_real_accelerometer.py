@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
+from kit.identified import quick
+from kit.series import series_of
 from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id import IdentifySettings, identify
@@ -22,7 +23,7 @@ def load(pattern):
 
 @cache
 def identified(pattern):
-    return identify(load(pattern), IdentifySettings(max_modes=3, sampler=QUICK))
+    return quick(load(pattern), max_modes=3)
 
 
 @pytest.mark.parametrize(

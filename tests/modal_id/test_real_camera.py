@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
+from kit.identified import quick
+from kit.series import series_of
 from support.paths import REALDATA, REALDATA_ABSENT
-
-from modal_id import IdentifySettings, identify
 
 FOLDER = REALDATA / "photron_beam_impact"
 
@@ -19,10 +18,7 @@ def near(found, frequency_hz):
 @pytest.fixture(scope="module")
 def camera():
     values = np.load(FOLDER / "displacements_lk.npy")[:, :, 0].T
-    return identify(
-        series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"),
-        IdentifySettings(max_modes=4, sampler=QUICK),
-    )
+    return quick(series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), max_modes=4)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +28,7 @@ def accelerometer():
     acceleration = np.array([float(line.split("\t")[1]) for line in lines[head + 1 :] if line.strip()])
     time_s = np.arange(acceleration.size) * 2e-5
     part = time_s < 0.25
-    return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings(sampler=QUICK))
+    return quick(series_of(time_s[part], acceleration[part], unit="g"))
 
 
 @pytest.mark.slow  # in the fast suite: one of them, together with the accelerometer

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import quick
+from kit.series import pole_of, series_of
 
-from modal_id import IdentifySettings, ModeFlag, identify
+from modal_id import ModeFlag
 from modal_id.data import sampled_rows
 from tracker import KnownInput
 
@@ -31,7 +32,7 @@ def held_decay(seed, *, empty=False):
 def check(seeds):
     for seed in seeds:
         series, hz, sampled_hz = held_decay(seed, empty=seed % 9 == 8)
-        found = identify(series, IdentifySettings(sampler=QUICK))
+        found = quick(series)
         best = max(found.modes, key=lambda mode: mode.amplitude)
         limit = max(5.0 * best.frequency_sd_hz, 1e-3 * hz)
         assert abs(best.frequency_hz - hz) < limit, f"seed {seed}: expected {hz:.5g} Hz, found {best}"
@@ -54,7 +55,7 @@ def test_an_input_that_is_not_used_has_all_rows():
     """An input beside held samples, with the request to ignore it: once refused for its number of rows."""
     series, hz, _ = held_decay(4)
     beside = KnownInput("base", np.zeros(series.time_s.size), "mm")
-    found = identify(replace(series, known_input=beside), IdentifySettings(sampler=QUICK, output_only=True))
+    found = quick(replace(series, known_input=beside), output_only=True)
     assert abs(found.target.frequency_hz - hz) < max(5.0 * found.target.frequency_sd_hz, 1e-3 * hz)
 
 

@@ -1,12 +1,11 @@
 """Pauses much longer than everything recorded: memory does not grow with them."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import quick
+from kit.series import pole_of, series_of
+from support.memory import peak_of
 
-from modal_id import IdentifySettings, identify
 from modal_id.data import longest_without_pause
 
 RATE_HZ, FREQUENCY_HZ, ZETA = 500.0, 10.0, 0.01
@@ -23,10 +22,7 @@ def test_a_pause_of_hours_leaves_the_longer_part_in_little_memory():
     rng = np.random.default_rng(1)
     motion = np.exp(pole_of(FREQUENCY_HZ, ZETA) * np.r_[time_s[:100], time_s[100:] - time_s[100]]).real
     series = series_of(time_s, motion + 0.01 * rng.standard_normal(time_s.size))
-    tracemalloc.start()
-    found = identify(series, IdentifySettings(sampler=QUICK))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    peak, found = peak_of(lambda: quick(series))
     assert found, found.reason
     assert abs(found.target.frequency_hz - FREQUENCY_HZ) < 4.0 * found.target.frequency_sd_hz
     assert "pauses for 1e+04 s: only the 600 samples" in " ".join(found.notes)

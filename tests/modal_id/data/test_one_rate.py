@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import in_sd, quick
+from kit.series import pole_of, series_of
 from scipy.stats import chi2
 
-from modal_id import IdentifySettings, identify
 from modal_id.data import longest_at_one_rate
 
 SLOW_HZ, FREQUENCY_HZ, ZETA, NOISE = 30.0, 110.0, 0.002, 0.005
@@ -22,7 +22,7 @@ def found_at(time_s, released_s, seed):
     since = time_s - released_s
     motion = np.where(since < 0.0, 1.0, np.exp(pole_of(FREQUENCY_HZ, ZETA) * since).real)
     series = series_of(time_s, motion + NOISE * rng.standard_normal(time_s.size))
-    return identify(series, IdentifySettings(sampler=QUICK, seed=seed))
+    return quick(series, seed=seed)
 
 
 @pytest.mark.parametrize(
@@ -41,11 +41,7 @@ def test_a_motion_above_half_the_slow_rate_is_no_alias(time_s, released_s):
         assert found, found.reason
         assert "sampling rate changes" in " ".join(found.notes)
         assert "not used" in [s.kind for s in found.segments]
-        mode = found.target
-        scores += [
-            (mode.frequency_hz - FREQUENCY_HZ) / mode.frequency_sd_hz,
-            (mode.damping_ratio - ZETA) / mode.damping_ratio_sd,
-        ]
+        scores += [*in_sd(found.target, FREQUENCY_HZ, ZETA)]
     limit = chi2.isf(1e-4, len(scores))
     assert np.sum(np.square(scores)) < limit, f"errors in sd {np.round(scores, 1)}: chi2 above its 1e-4 point"
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.series import LENGTH_MM, cantilever_shapes, series_of, station_series
+from kit.identified import in_sd
+from kit.series import LENGTH_MM, cantilever_shapes, errors_of_positions, series_of, station_series
 from kit.series import STATIONS_TRUTH as TRUTH
 from scipy.stats import chi2
 
@@ -13,7 +14,6 @@ from modal_id.data import prepare, project, rough_variance
 from modal_id.fit import find_modes, without_repeating_errors
 from modal_id.fit import position_errors as fitted_errors
 from modal_id.modes import mac
-from tracker import PositionErrors
 
 FEW_STEPS = SamplerSettings(max_steps=100, check_steps=100)
 
@@ -121,8 +121,7 @@ def test_answers_are_those_of_all_channels():
 def check_against_truth(found, shapes, level=1e-4):
     assert len(found.modes) == 3, found.failed
     for mode, (frequency, zeta, _), shape in zip(found.modes, TRUTH, shapes.T, strict=True):
-        assert abs(mode.frequency_hz - frequency) < 4.5 * mode.frequency_sd_hz, "4.5 sd"
-        assert abs(mode.damping_ratio - zeta) < 4.5 * mode.damping_ratio_sd, "4.5 sd"
+        assert np.max(np.abs(in_sd(mode, frequency, zeta))) < 4.5, "4.5 sd"
         assert mac(mode.shape, shape) >= 0.9999
         scale = np.vdot(shape, mode.shape) / np.vdot(shape, shape)
         z = np.abs(mode.shape - scale * shape) / mode.shape_sd
@@ -149,12 +148,7 @@ def test_intervals_hold_over_many_records():
         found = identify(series, IdentifySettings(onset_s=0.0, seed=seed))
         check_against_truth(found, shapes, 1e-5)
         for mode, (frequency, zeta, _) in zip(found.modes, TRUTH, strict=True):
-            z.append(
-                (
-                    (mode.frequency_hz - frequency) / mode.frequency_sd_hz,
-                    (mode.damping_ratio - zeta) / mode.damping_ratio_sd,
-                )
-            )
+            z.append(in_sd(mode, frequency, zeta))
     square = np.mean(np.square(z), axis=0)
     # The intervals may be wide (systematic parts are added) but not narrow: chi-square of 120 values.
     assert np.all(square < chi2.ppf(1.0 - 1e-4, 120) / 120), square
@@ -195,19 +189,9 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
     k = 24
     rng = np.random.default_rng(10)
     # Half a pixel and less of motion: the data hardly determine the periodic errors.
-    errors = PositionErrors(
-        rest_px=rng.uniform(100.0, 300.0, (1, k)),
-        px_per_unit=np.full((1, k), 0.05),
-        periodic_sd=np.full((1, k), 0.002),
-        period_px=1.0,
-        shrinkage=np.zeros(k),
-        lag=np.zeros(k),
-        shrinkage_sd=np.full(k, 0.002),
-        lag_sd=np.full(k, 0.0005),
-        along_px=np.zeros(k),
-        frame_s=0.01,
-        predicted=True,
-    )
+    rest_px = rng.uniform(100.0, 300.0, (1, k))
+    sds = {"periodic_sd": 0.002, "shrinkage_sd": 0.002, "lag_sd": 0.0005}
+    errors = errors_of_positions(k, rest_px=rest_px, px_per_unit=0.05, predicted=True, **sds)
     series, _, _ = station_series(k, 11, n=800, errors=errors, truth=TRUTH[:2])
     prepared = prepare(series)
     reduced = project(prepared, None)
@@ -225,19 +209,7 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
 @pytest.mark.parametrize("alike", [True, False])
 def test_an_error_common_to_all_stations_does_not_average_out(alike, records):
     k = 24
-    errors = PositionErrors(
-        rest_px=np.full((1, k), 200.3),
-        px_per_unit=np.full((1, k), 0.4),
-        periodic_sd=np.full((1, k), 0.01),
-        period_px=1.0,
-        shrinkage=np.zeros(k),
-        lag=np.zeros(k),
-        shrinkage_sd=np.zeros(k),
-        lag_sd=np.zeros(k),
-        along_px=np.zeros(k),
-        frame_s=0.01,
-        alike=alike,
-    )
+    errors = errors_of_positions(k, rest_px=200.3, px_per_unit=0.4, periodic_sd=0.01, alike=alike)
     (f, zeta, _), scores = TRUTH[1], []
     for seed in range(records):
         series, _, clean = station_series(k, seed, n=800, truth=TRUTH[1:2])

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, decay, pole_of, series_of
-
-from modal_id import IdentifySettings, identify
+from kit.identified import assert_inside, in_sd, quick
+from kit.series import decay, pole_of, series_of
 
 NOISE = 0.007
 
@@ -21,13 +20,10 @@ def pair(first_hz, second_hz, second, duration_s, seed=0, zeta=0.003):
 )
 def test_a_pair_that_beats_is_two_modes(second, duration_s):
     """12.3 and 12.6 Hz beat in 3.3 s."""
-    found = identify(pair(12.3, 12.6, second, duration_s), IdentifySettings(onset_s=0.0, sampler=QUICK))
+    found = quick(pair(12.3, 12.6, second, duration_s), onset_s=0.0)
     assert len(found.modes) == 2, found.failed
     for mode, truth in zip(found.modes, (12.3, 12.6), strict=True):
-        low, high = mode.frequency_interval_hz(0.999)
-        assert low < truth < high
-        low, high = mode.damping_interval(0.999)
-        assert low < 0.003 < high
+        assert_inside(mode, truth, 0.003)
         assert "CLOSE_MODE" in mode.flags
         assert "UNRESOLVED" not in mode.flags
     np.testing.assert_allclose(found.residual_sd, NOISE, rtol=5.0 / np.sqrt(2 * found.series.time_s.size))
@@ -37,7 +33,7 @@ def test_a_pair_that_beats_is_two_modes(second, duration_s):
     ("second_hz", "duration_s"), [(12.35, 5.0), pytest.param(12.4, 8.0, marks=pytest.mark.slow), (12.6, 2.0)]
 )
 def test_a_pair_that_does_not_beat_is_flagged(second_hz, duration_s):
-    found = identify(pair(12.3, second_hz, 0.5, duration_s), IdentifySettings(onset_s=0.0, sampler=QUICK))
+    found = quick(pair(12.3, second_hz, 0.5, duration_s), onset_s=0.0)
     assert any("UNRESOLVED" in mode.flags for mode in found.modes), [mode.flags for mode in found.modes]
 
 
@@ -48,7 +44,7 @@ def test_amplitude_dependent_damping_is_not_a_pair(seed):
     decay = np.exp(-zeta0 * omega * t)
     y = decay / (1 + zeta1 / zeta0 * (1 - decay)) * np.cos(omega * t + seed)
     y += NOISE * np.random.default_rng(seed).standard_normal(t.size)
-    found = identify(series_of(t, y), IdentifySettings(onset_s=0.0, sampler=QUICK))
+    found = quick(series_of(t, y), onset_s=0.0)
     assert len(found.modes) == 1
     assert "AMPLITUDE_DEPENDENT" in found.target.flags
     assert "UNRESOLVED" not in found.target.flags
@@ -62,7 +58,7 @@ def test_motion_distorted_by_its_amplitude_is_one_mode(part):
     size = np.exp(-zeta * omega * t)
     y = np.outer(size * np.cos(omega * t) + part * size**3 * np.cos(omega * t + 0.7), [1.0, -0.6, 0.3, 0.8])
     y += 1e-4 * np.random.default_rng(2).standard_normal(y.shape)
-    found = identify(series_of(t, y), IdentifySettings(onset_s=0.0, sampler=QUICK))
+    found = quick(series_of(t, y), onset_s=0.0)
     assert len([m for m in found.modes if abs(m.frequency_hz - 88.9) < 3.0]) == 1
     assert found.target.damping_ratio == pytest.approx(zeta, rel=0.1)
     assert "CLOSE_MODE" not in found.target.flags
@@ -84,10 +80,7 @@ def test_pairs_whose_half_power_bands_do_not_overlap_are_two_modes(apart, zeta, 
     found, truths = close_pair(apart, zeta, beats)
     assert len(found.modes) == 2, (found, found.failed)
     for mode, truth in zip(found.modes, truths, strict=True):
-        scores = (
-            (mode.frequency_hz - truth) / mode.frequency_sd_hz,
-            (mode.damping_ratio - zeta) / mode.damping_ratio_sd,
-        )
+        scores = in_sd(mode, truth, zeta)
         # 24 scores in all: beyond 4 by chance once in 650 runs.
         assert np.max(np.abs(scores)) < 4.0, f"{mode}: {scores} sd from {truth} Hz, {zeta}"
         assert "CLOSE_MODE" in mode.flags
@@ -119,7 +112,7 @@ def close_pair(apart, zeta, beats):
     sizes, phases = (1.0, rng.uniform(0.3, 1.0)), 2j * np.pi * rng.random(2)
     y = sum(a * np.exp(pole_of(f, zeta) * t + p).real for a, f, p in zip(sizes, truths, phases, strict=True))
     series = series_of(t, y + 0.005 * rng.standard_normal(t.size))
-    return identify(series, IdentifySettings(onset_s=0.0, sampler=QUICK)), truths
+    return quick(series, onset_s=0.0), truths
 
 
 @pytest.mark.parametrize(
@@ -131,7 +124,7 @@ def test_the_small_amplitude_of_a_pair_is_no_more_certain_than_its_being_one_mod
     time_s = np.arange(2500) / 100.0
     noise = 0.002 * np.random.default_rng(0).standard_normal(time_s.size)
     wave = decay(time_s, 4.71, zetas[0]) + decay(time_s, other_hz, zetas[1], amplitude, 2.0) + noise
-    found = identify(series_of(time_s, wave), IdentifySettings(sampler=QUICK))
+    found = quick(series_of(time_s, wave))
     for mode in found.modes:
         value, sd = mode.small_amplitude_damping
         assert min(abs(value - z) for z in zetas) < 4.0 * sd, f"{value:.4g} +- {sd:.2g} is neither of {zetas}"

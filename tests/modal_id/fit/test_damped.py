@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import in_sd, quick
+from kit.series import pole_of, series_of
 from scipy.stats import chi2
 
-from modal_id import IdentifySettings, identify
 from modal_id.posterior import modal_bound
 
 SHAPE = np.array([1.0, 0.75, 0.4])
@@ -36,18 +36,13 @@ def test_the_decay_is_answered_near_the_bound(fps, frequency_hz, zeta, duration_
     for seed in range(SEEDS):
         rng = np.random.default_rng([seed, 5])
         series, phase_rad = record(rng, fps, frequency_hz, zeta, duration_s, noise)
-        found = identify(series, IdentifySettings(seed=seed, sampler=QUICK))
+        found = quick(series, seed=seed)
         assert found, f"seed {seed}: {getattr(found, 'reason', '')}"
         mode = found.target
         assert mode is not None, f"seed {seed}: {found.failed}"
         assert found.onset.source == "record start"
         bound = modal_bound(series.time_s, frequency_hz, zeta, SHAPE, phase_rad, np.full(3, noise))
-        scores.append(
-            [
-                (mode.frequency_hz - frequency_hz) / mode.frequency_sd_hz,
-                (mode.damping_ratio - zeta) / mode.damping_ratio_sd,
-            ]
-        )
+        scores.append(in_sd(mode, frequency_hz, zeta))
         if "AMPLITUDE_DEPENDENT" not in mode.flags:
             ratios.append(
                 [mode.frequency_sd_hz / bound.frequency_sd_hz, mode.damping_ratio_sd / bound.damping_sd]
@@ -69,7 +64,7 @@ def test_a_strongly_damped_mode_of_low_signal_is_wide_and_not_refused():
     for seed in range(8):
         rng = np.random.default_rng([seed, 6])
         y = np.exp(pole_of(2.2, 0.15) * t + 2j * np.pi * rng.random()).real + 0.05 * rng.standard_normal(60)
-        found = identify(series_of(t, y), IdentifySettings(seed=seed, sampler=QUICK))
+        found = quick(series_of(t, y), seed=seed)
         assert found, f"seed {seed}: {getattr(found, 'reason', '')}"
         assert found.target is not None, f"seed {seed}: {found.failed}"
         low, high = found.target.damping_interval(0.99)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import in_sd, quick
+from kit.series import pole_of, series_of
 from scipy.stats import chi2
 
-from modal_id import IdentifySettings, identify
 from modal_id.data import FitData
 from modal_id.fit import find_modes
 from modal_id.solve import damping_ratio, frequency_hz
@@ -40,9 +40,7 @@ LOST = [pytest.mark.slow, pytest.mark.xfail(strict=True, reason="the record begi
 def test_it_is_found_within_its_interval(frequency_hz, zeta, seeds):
     scores = []
     for seed in seeds:
-        found = identify(
-            series_of(*record(frequency_hz, zeta, seed)), IdentifySettings(sampler=QUICK, seed=seed)
-        )
+        found = quick(series_of(*record(frequency_hz, zeta, seed)), seed=seed)
         assert found, found.reason
         truth = [(f, z) for f, z, _ in (*LONG, (frequency_hz, zeta, 1.0))]
         assert len(found.modes) == 3, f"seed {seed}: {[m.frequency_hz for m in found.modes]} for {truth}"
@@ -50,10 +48,7 @@ def test_it_is_found_within_its_interval(frequency_hz, zeta, seeds):
             f, z = min(
                 truth, key=lambda one: abs(one[0] - mode.frequency_hz) + 10 * abs(one[1] - mode.damping_ratio)
             )
-            scores += [
-                (mode.frequency_hz - f) / mode.frequency_sd_hz,
-                (mode.damping_ratio - z) / mode.damping_ratio_sd,
-            ]
+            scores += [*in_sd(mode, f, z)]
     limit = chi2.isf(1e-4, len(scores))
     assert np.sum(np.square(scores)) < limit, f"errors in sd {np.round(scores, 1)}: chi2 above its 1e-4 point"
 
@@ -85,8 +80,6 @@ def test_none_is_invented(kind, seeds):
             y = y + 0.2 * np.exp(-t / 0.7)
         if kind == "held first":
             y = np.where(t < 0.02, y[10], y)
-        found = identify(
-            series_of(t, y + NOISE * rng.standard_normal(t.size)), IdentifySettings(sampler=QUICK)
-        )
+        found = quick(series_of(t, y + NOISE * rng.standard_normal(t.size)))
         strongly = [m.damping_ratio for m in found.modes if m.damping_ratio > 0.02] if found else []
         assert not strongly, f"{kind}, seed {seed}: a mode of damping ratio {strongly}, which no motion has"

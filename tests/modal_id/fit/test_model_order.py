@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import in_sd, quick
+from kit.series import pole_of, series_of
 from scipy.stats import chi2
-
-from modal_id import IdentifySettings, identify
 
 # The plain spectrum of some of them is highest at the third overtone, which then kept out the wave itself.
 SEEDS = [
@@ -26,15 +25,10 @@ def test_a_clipped_wave_is_no_overtone(seed):
     y[np.abs(y) > 1.0] = np.nan
     gap = np.abs(t - rng.uniform(0.2, 0.7) * t[-1]) < rng.uniform(0.2, 1.0) / f
     series = series_of(t, np.where(gap, np.nan, y))
-    found = identify(series, IdentifySettings(sampler=QUICK, onset_s=0.0, end_s=float(t[-1])))
+    found = quick(series, onset_s=0.0, end_s=float(t[-1]))
     if np.mean(np.isfinite(series.values)) < 0.3:
         assert "samples have a value" in found.reason
         return
     mode = max(found.modes, key=lambda one: one.amplitude)
-    errors = [
-        (mode.frequency_hz - f) / mode.frequency_sd_hz,
-        (mode.damping_ratio - zeta) / mode.damping_ratio_sd,
-    ]
-    assert np.sum(np.square(errors)) < chi2.isf(1e-4, 2), (
-        f"{mode.frequency_hz} for {f} Hz; errors in sd {errors}"
-    )
+    errors = in_sd(mode, f, zeta)
+    assert np.sum(np.square(errors)) < chi2.isf(1e-4, 2), f"{mode.frequency_hz} for {f} Hz; in sd {errors}"

@@ -1,17 +1,18 @@
 """Errors that return with the motion: intervals of the poles with them, against records made with known errors."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.series import errors_of_positions
 from scipy.stats import chi2
+from support.memory import peak_of
 
 from modal_id.data import FitData
 from modal_id.fit import find_modes, without_repeating_errors
 from modal_id.fit import position_errors as fitted_errors
 from modal_id.solve import damping_ratio
-from tracker import PositionErrors, position_errors
+from tracker import position_errors
 
 FREQUENCY, ZETA, FPS = 23.7, 0.004, 500.0
 TUNING = position_errors.TUNING
@@ -21,17 +22,9 @@ RECORDS = 20
 
 
 def errors(channels, *, periodic=0.0, shrinkage_sd=0.0, period_px=1.0, rest_px=0.3):
-    return PositionErrors(
-        rest_px=np.full((1, channels), rest_px),
-        px_per_unit=np.ones((1, channels)),
-        periodic_sd=np.full((1, channels), periodic * SD_PX),
-        period_px=period_px,
-        shrinkage=np.zeros(channels),
-        lag=np.zeros(channels),
-        shrinkage_sd=np.full(channels, shrinkage_sd * SD_PX),
-        lag_sd=np.zeros(channels),
-        along_px=np.ones(channels),
-        frame_s=1.0 / FPS,
+    sds = {"periodic_sd": periodic * SD_PX, "shrinkage_sd": shrinkage_sd * SD_PX, "frame_s": 1.0 / FPS}
+    return errors_of_positions(
+        channels, rest_px=rest_px, px_per_unit=1.0, period_px=period_px, along_px=1.0, **sds
     )
 
 
@@ -242,12 +235,7 @@ def test_the_fit_is_that_of_all_functions_at_once(monkeypatch):
     values = 6.0 * np.real(np.exp(pole * time))[:, None] * [1.0, 0.7] + sd * rng.standard_normal((frames, 2))
     model = find_modes(FitData(time, values, np.ones(values.shape)), 1)
     monkeypatch.setattr(fitted_errors, "_BLOCK", 1500)
-    tracemalloc.start()
-    try:
-        found = without_repeating_errors(model, known, np.arange(2))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    peak, found = peak_of(lambda: without_repeating_errors(model, known, np.arange(2)))
 
     linear, information = model.fit.linear, np.zeros((q, q))
     wave = np.exp(model.fit.poles[0] * time)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import films
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import quick
+from kit.series import pole_of, series_of
 from support.paths import REALDATA, REALDATA_ABSENT
 
-from modal_id import IdentifySettings, identify
 from modal_id.modes import Line, alias_frequencies, apparent_hz, lines_of, resolve_aliases
 from tracker import TrackerSettings, displacement_series, track
 
@@ -136,7 +136,7 @@ def test_uneven_times_tell_aliases_apart(true_hz, jitter, stated):
     uneven = grid + jitter / 100.0 * rng.uniform(-1.0, 1.0, grid.size)
     y = np.exp(pole_of(true_hz, 0.1 / true_hz) * (uneven if stated else grid)).real
     series = series_of(uneven, y + 0.02 * rng.standard_normal(grid.size))
-    (line,) = lines_of("take", identify(series, IdentifySettings(onset_s=0.0, sampler=QUICK)))
+    (line,) = lines_of("take", quick(series, onset_s=0.0))
     (found,) = resolve_aliases([line]).lines
     assert found.decided == stated, found
     assert found.best.frequency_hz == pytest.approx(true_hz if stated else 10.0, abs=0.1)
@@ -160,7 +160,7 @@ def test_forks_at_three_rates_are_at_127_9_hz(frames, tmp_path):
         half = series_of(series.time_s[::2], series.values[::2], series.unit)
         for rate, one in ((fps, series), (fps // 2, half)):
             if rate >= 250:
-                found[rate] = lines_of(str(rate), identify(one, IdentifySettings(sampler=QUICK)))
+                found[rate] = lines_of(str(rate), quick(one))
     alone = resolve_aliases(found[250]).lines[0]
     assert not alone.informed
     assert alone.applies, "a frequency near half the rate is doubtful"

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
-
-from modal_id import IdentifySettings, identify
+from kit.identified import quick
+from kit.series import series_of
 
 FPS, FREQUENCY_HZ, PLUCK_S = 125.0, 12.0, 6.0
 ZETA_SMALL, ZETA_LARGE = 0.003, 0.008
@@ -27,7 +26,7 @@ def plucks(count, seed):
 @pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_more_decays_do_not_average_out_what_changes_with_the_amplitude(count):
     """Every decay runs through the same amplitudes: all of them need the interval that one needs to reach both ends."""
-    one, many = (identify(plucks(n, 1), IdentifySettings(sampler=QUICK)).target for n in (1, count))
+    one, many = (quick(plucks(n, 1)).target for n in (1, count))
     assert len(many.decays) == count
     for mode in (one, many):
         assert "AMPLITUDE_DEPENDENT" in mode.flags

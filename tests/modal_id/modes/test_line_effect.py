@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, one_mode, series_of
+from kit.identified import quick
+from kit.series import one_mode, series_of
 
-from modal_id import IdentifySettings, identify
 from modal_id.modes import line_effect
 
 AMPLITUDE = 0.02
 
 
 def fitted(time_s, values):
-    found = identify(series_of(time_s, values), IdentifySettings(max_modes=1, onset_s=0.0, sampler=QUICK))
+    found = quick(series_of(time_s, values), max_modes=1, onset_s=0.0)
     return found, found.modes[0]
 
 

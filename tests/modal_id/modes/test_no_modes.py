@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from kit.series import decay, series_of
+from kit.series import decay, errors_of_positions, series_of
 
 from modal_id import IdentifySettings, identify
-from tracker import PositionErrors
 
 RATE_HZ, SPAN_S = 500.0, 6.0
 F_HZ, ZETA = 11.3, 0.004
@@ -70,7 +69,6 @@ def test_a_mode_that_theory_expects_at_a_multiple_is_listed_with_a_flag():
 @pytest.mark.parametrize(("amplitude", "listed"), [(0.03, False), (0.3, True)])
 def test_a_line_within_the_errors_of_positions_is_no_mode(amplitude, listed):
     """Errors of 0.02 px in either quadrature: lines of less than 2 sqrt(2) 0.02 = 0.057 px may be errors."""
-    one, none = np.ones((1, 1)), np.zeros(1)
-    errors = PositionErrors(200.0 * one, one, 0.02 * one, 1.0, none, none, none, none, one[0], 0.01)
+    errors = errors_of_positions(1, rest_px=200.0, px_per_unit=1.0, periodic_sd=0.02, along_px=1.0)
     y = decay(TIME_S, F_HZ, ZETA, 10.3) + decay(TIME_S, 81.7, 0.001, amplitude)
     assert (81.7 in _listed(_found(y, errors))) is listed

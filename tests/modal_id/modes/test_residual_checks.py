@@ -4,18 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.series import QUICK, one_mode, pole_of, series_of
+from kit.identified import quick
+from kit.series import one_mode, pole_of, series_of
 
-from modal_id import IdentifySettings, identify
 from modal_id.modes import residual_checks
 
 LINE, MEMORY, DRIFT, SCORE, TAILS = range(5)
 
 
 def checks(values, time_s, max_modes=1):
-    found = identify(
-        series_of(time_s, values), IdentifySettings(max_modes=max_modes, onset_s=0.0, sampler=QUICK)
-    )
+    found = quick(series_of(time_s, values), max_modes=max_modes, onset_s=0.0)
     return residual_checks(found), found
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.series import QUICK, series_of
+from kit.identified import quick
+from kit.series import series_of
 
-from modal_id import DecayValue, IdentifySettings, identify
+from modal_id import DecayValue
 from modal_id.modes import held_odds
 
 FPS, FREQUENCY_HZ, ZETA = 100.0, 6.0, 0.002
@@ -32,7 +33,7 @@ def series(parts, seed=0, noise=2e-3):
 @pytest.mark.parametrize("held", [0.05, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_what_a_hand_holds_is_no_damping_of_the_structure(held):
     """The interval is that of the 6 s before, 5 % wide, and does not reach to the ratio of the hand's part."""
-    found = identify(series([(6.0, ZETA, None), (4.0, held, None)]), IdentifySettings(sampler=QUICK))
+    found = quick(series([(6.0, ZETA, None), (4.0, held, None)]))
     target = found.target
     assert abs(target.damping_ratio - ZETA) < 4.0 * target.damping_ratio_sd, target
     assert target.damping_ratio_sd < 0.1 * ZETA, target
@@ -42,7 +43,7 @@ def test_what_a_hand_holds_is_no_damping_of_the_structure(held):
 def test_decays_that_differ_as_those_of_a_clamp_do_are_combined():
     """Three plucks, the last with 1.3 times the damping: its scatter is part of the interval."""
     plucks = [(10.0, ZETA, 1.0), (10.0, ZETA, 0.9), (10.0, 1.3 * ZETA, 0.8)]
-    target = identify(series(plucks), IdentifySettings(sampler=QUICK)).target
+    target = quick(series(plucks)).target
     assert len(target.decays) == 3
     assert abs(target.damping_ratio - 1.3 * ZETA) < 4.0 * target.damping_ratio_sd, target
 

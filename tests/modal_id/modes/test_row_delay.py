@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.identified import identification
-from kit.series import QUICK, series_of
+from kit.identified import identification, quick
+from kit.series import series_of
 
-from modal_id import IdentifySettings, identify
 from modal_id.modes import readout_note, row_delay
 
 FPS, HEIGHT, CHANNELS = 250.0, 480, 24
@@ -31,7 +30,7 @@ def film(per_row_s, seed, noise=0.02):
 
 @pytest.fixture(scope="module")
 def found():
-    return identify(film(8e-6, 1), IdentifySettings(onset_s=0.0, sampler=QUICK, seed=1))
+    return quick(film(8e-6, 1), onset_s=0.0, seed=1)
 
 
 def test_the_delay_of_a_row_is_found(found):

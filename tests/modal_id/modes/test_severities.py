@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, pole_of, series_of
+from kit.identified import quick
+from kit.series import pole_of, series_of
 from scipy.signal import lfilter
 
-from modal_id import IdentifySettings, identify
 from tracker import Severity
 
 
 def target_of(time_s, values):
-    return identify(
-        series_of(time_s, values), IdentifySettings(onset_s=0.0, max_modes=2, sampler=QUICK)
-    ).target
+    return quick(series_of(time_s, values), onset_s=0.0, max_modes=2).target
 
 
 def dependent(zeta_change, frequency_change_hz, noise, seed=0):

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
+from kit.identified import quick
+from kit.series import series_of
 from scipy.stats import chi2
-
-from modal_id import IdentifySettings, identify
 
 SEEDS = range(4)
 FREQUENCY_HZ, ZETA = 32.0, 3.5e-4
@@ -35,7 +34,7 @@ def test_both_damping_ratios_agree_with_the_truth():
     z, small_z = [], []
     for seed in SEEDS:
         series, zeta0, middle = fork(seed)
-        target = identify(series, IdentifySettings(sampler=QUICK)).target
+        target = quick(series).target
         assert "FEW_CYCLES_LOST" in target.flags
         z.append((target.damping_ratio - middle) / target.damping_ratio_sd)
         value, sd = target.small_amplitude_damping
@@ -50,7 +49,7 @@ def test_the_value_at_small_amplitude_allows_for_a_slope_that_noise_hides():
     small_z, own_z = [], []
     for seed in SEEDS:
         series, zeta0, _ = fork(seed, 3200)
-        target = identify(series, IdentifySettings(sampler=QUICK)).target
+        target = quick(series).target
         value, sd = target.small_amplitude_damping
         small_z.append((value - zeta0) / sd)
         own_z.append((target.damping_ratio - zeta0) / target.damping_ratio_sd)
@@ -67,9 +66,7 @@ def test_the_frequency_at_small_amplitude_allows_for_a_change_that_noise_hides(s
         a = np.exp(-ZETA * 2.0 * np.pi * FREQUENCY_HZ * t)
         turns = FREQUENCY_HZ * np.cumsum(1.0 - 3e-5 * a**2) / 250.0
         noise = 0.04 * np.random.default_rng(seed).standard_normal(t.size)
-        target = identify(
-            series_of(t, 1.9 * a * np.cos(2.0 * np.pi * turns) + noise), IdentifySettings(sampler=QUICK)
-        ).target
+        target = quick(series_of(t, 1.9 * a * np.cos(2.0 * np.pi * turns) + noise)).target
         value, sd = target.small_amplitude_frequency
         small_z.append((value - FREQUENCY_HZ) / sd)
     assert np.sum(np.square(small_z)) < MOST, np.round(small_z, 2)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from kit.identified import assert_inside
 from kit.series import (
     PAPER_HZ,
     PAPER_ZETA,
@@ -51,10 +52,7 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     assert target is not None, found.failed
     assert target.number == mode + 1
     assert target.mac > 0.999
-    low, high = target.frequency_interval_hz(0.999)
-    assert low < PAPER_HZ[mode] < high
-    low, high = target.damping_interval(0.999)
-    assert low < PAPER_ZETA[mode] < high
+    assert_inside(target, PAPER_HZ[mode], PAPER_ZETA[mode])
     assert np.all(np.isnan(found.fitted[series.time_s < onset.fit_from_s]))
 
 

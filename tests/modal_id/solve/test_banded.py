@@ -1,13 +1,13 @@
 """Banded matrices of the baseline, against dense ones; memory over the length of a record."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
-from kit.series import QUICK, series_of
+from kit.identified import quick
+from kit.series import series_of
 from scipy.sparse import csr_array
+from support.memory import peak_of
 
-from modal_id import Identification, IdentifySettings, identify
+from modal_id import Identification
 from modal_id.solve import BandedFactor, normal_band
 
 
@@ -32,25 +32,20 @@ def test_solutions_are_those_of_the_dense_matrix(reach):
     np.testing.assert_allclose(factor.whiten(right), whitened, rtol=1e-9, atol=1e-12)
 
 
-def peak_of(samples):
+def memory_of(samples):
     """Peak memory in bytes of the identification of a decay of 1 Hz over the whole record, ten samples a cycle."""
     time_s = 0.1 * np.arange(samples)
     motion = np.exp(-3.0 * time_s / time_s[-1]) * np.cos(2.0 * np.pi * time_s)
     motion += 0.01 * np.random.default_rng(1).standard_normal(samples)
     series = series_of(time_s, motion[:, None])
-    tracemalloc.start()
-    try:
-        found = identify(series, IdentifySettings(max_modes=1, sampler=QUICK))
-        return tracemalloc.get_traced_memory()[1], found
-    finally:
-        tracemalloc.stop()
+    return peak_of(lambda: quick(series, max_modes=1))
 
 
 def test_memory_is_linear_in_the_length_of_the_record():
     """750 cycles have 600 splines: each of their matrices would take 3 MB if it were dense."""
-    peak_of(500)
-    short, _ = peak_of(1500)
-    long, found = peak_of(7500)
+    memory_of(500)
+    short, _ = memory_of(1500)
+    long, found = memory_of(7500)
     assert isinstance(found, Identification)
     assert found.modes[0].frequency_hz == pytest.approx(1.0, abs=5.0 * found.modes[0].frequency_sd_hz)
     assert long < 6.0 * short, (

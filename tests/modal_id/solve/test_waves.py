@@ -1,10 +1,9 @@
 """Columns whose rows are made when they are needed: against all rows at once, and the memory of a fit with them."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from support.memory import peak_of
 
 from modal_id.data import FitData, baseline_splines
 from modal_id.fit import nonlinear_decay
@@ -50,12 +49,8 @@ def bytes_held(samples):
     values = np.random.default_rng(2).standard_normal((samples, 1))
     data = FitData(time_s, values, np.ones((samples, 1)))
     poles = -0.01 + 40.0j * np.arange(1.0, 9.0)
-    tracemalloc.start()
-    try:
-        solve_linear(Problem(data, baseline_splines(time_s, 0.5)), ModeColumns(time_s, poles))
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    splines = baseline_splines
+    return peak_of(lambda: solve_linear(Problem(data, splines(time_s, 0.5)), ModeColumns(time_s, poles)))[0]
 
 
 def test_a_long_fit_holds_its_residual_but_not_its_columns():

@@ -1,11 +1,10 @@
 """Tables as other programs write them: the same times and channels from every format, and what was assumed is said."""
 
-import tracemalloc
-
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import savemat
+from support.memory import peak_of
 
 from modalcam.common import InputError
 from modalcam.inputs import checked_unit, read_table, register_table_reader, series_from_table
@@ -202,12 +201,7 @@ def test_a_rate_counts_samples_and_frames(tmp_path):
 def test_a_matlab_structure_is_not_read_into_memory(tmp_path):
     path, zeros = tmp_path / "a.mat", np.zeros(3_000_000)
     savemat(path, {"time_s": TIME_S, "s": {"zeros": zeros}, "a": MOTION[:, 0]})
-    tracemalloc.start()
-    try:
-        table = read_table(path).columns
-        _, peak_bytes = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
+    peak_bytes, table = peak_of(lambda: read_table(path).columns)
     np.testing.assert_array_equal(table["a"], MOTION[:, 0])
     assert peak_bytes < 0.2 * zeros.nbytes, "NumPy counts arrays: those of the structure are not among them"
 

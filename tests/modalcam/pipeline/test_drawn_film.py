@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from kit import films as media
-from kit.series import QUICK
+from kit.identified import quick
 
 from modal_id import IdentifySettings, identify
 from tracker import TrackerSettings, displacement_series, track
@@ -34,7 +34,7 @@ def film(folder, amplitude_px, *, background, smooth, frames=600):
 def test_smooth_edges_are_tracked_to_a_sixteenth_of_a_px(tmp_path, background):
     """Rounding to 1/16 px has an sd of 0.018 px; it makes steps of the amplitude, which are small beside 4 px."""
     series = displacement_series(film(tmp_path, 4.0, background=background, smooth=True))
-    found = identify(series, IdentifySettings(sampler=QUICK))
+    found = quick(series)
     assert found, found
     assert found.target.frequency_hz == pytest.approx(HZ, abs=4.0 * found.target.frequency_sd_hz)
     assert found.target.damping_ratio == pytest.approx(ZETA, abs=4.0 * found.target.damping_ratio_sd)

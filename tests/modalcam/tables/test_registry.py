@@ -1,9 +1,9 @@
 """The registry of output formats: a format of a plugin, a format without its library, the documentation."""
 
-import builtins
 import importlib.util
 import json
 import runpy
+import sys
 from dataclasses import replace
 from unittest import mock
 
@@ -137,14 +137,7 @@ def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, w
 
 
 def test_reading_a_universal_file_names_the_missing_library(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name == "pyuff":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "pyuff", None)
     with pytest.raises(InputError, match="pip install pyuff"):
         read_uff(tmp_path / "a.uff", name="a", unit="1")
 

@@ -1,11 +1,11 @@
 """The table of the tracks is written in parts."""
 
-import tracemalloc
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from kit.tracks import sample_tracks
+from support.memory import peak_of
 
 from modalcam.tables import csv_files as tables
 
@@ -38,12 +38,7 @@ def test_memory_is_that_of_a_part(tmp_path, monkeypatch):
     peaks = []
     for frames_at_once in (2_000, 100):
         monkeypatch.setattr(tables, "_FRAMES_AT_ONCE", frames_at_once)
-        tracemalloc.start()
-        try:
-            tables.write_tracks(tmp_path / "tracks.csv", tracks)
-            peaks.append(tracemalloc.get_traced_memory()[1])
-        finally:
-            tracemalloc.stop()
+        peaks.append(peak_of(lambda: tables.write_tracks(tmp_path / "tracks.csv", tracks))[0])
     assert peaks[1] < 0.25 * peaks[0], (
         f"parts of a twentieth need {peaks[1]} bytes, the whole {peaks[0]}: expected a twentieth and the positions"
     )
