@@ -157,7 +157,6 @@ def decay_run(shared_folder):
     from modalcam.pipeline import Progress
 
     def fill(folder):
-        (folder / "videos").mkdir()
         write_decay(folder / "videos")
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)

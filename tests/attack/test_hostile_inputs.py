@@ -70,9 +70,7 @@ def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, ident
     code, _, err = modalcam("identify", other, "-o", out)
     assert code == ExitCode.USAGE
     assert "holds the results of decay.csv, not of b.csv" in err
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder)
+    folder = write_decay(tmp_path / "videos")
     assert "holds the results of decay.csv" in modalcam("run", folder, "-o", out)[2]
     assert content(out) == before
     assert modalcam("identify", other, "-o", out, "--force")[0] == ExitCode.OK
@@ -131,9 +129,7 @@ def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, in_process, no_fi
 
 
 def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam, tmp_path, in_process):
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder)
+    folder = write_decay(tmp_path / "videos")
     (folder / "loop").symlink_to(folder / "loop")
     (folder / "loop.avi").symlink_to(folder / "loop.avi")
     assert modalcam("probe", folder)[0] == ExitCode.OK, "links are skipped without --follow-symlinks"
@@ -160,9 +156,7 @@ def test_a_closed_reader_of_output_ends_a_command_quietly(tmp_path, in_process, 
 
 
 def test_tracking_prints_its_notes(modalcam, tmp_path, in_process):
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder)
+    folder = write_decay(tmp_path / "videos")
     path = folder / "take.mkv"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     (folder / "other.avi").symlink_to(path)

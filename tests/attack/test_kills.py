@@ -65,7 +65,6 @@ def forked(folder, out, kill_at=0):
 @pytest.mark.timeout(7200)
 def test_runs_killed_at_moments_spread_over_the_run_end_with_the_same_bytes(tmp_path, in_process):
     folder = tmp_path / "videos"
-    folder.mkdir()
     for name, seed in (("a", 1), ("b", 2)):
         write_decay(folder, name=name, seed=seed)
     # The simulation of the beam takes most of the time; the killed runs below have it.

@@ -8,10 +8,9 @@ from importlib import metadata
 import matplotlib as mpl
 import pytest
 from kit.attacks import write_csv
+from support.command import finished
 from support.paths import ROOT, SAMPLES
-from typer.testing import CliRunner
 
-from modalcam.cli import app
 from modalcam.commands import Options, identify
 from modalcam.config import RecordingConfig
 from modalcam.pipeline import Progress
@@ -60,7 +59,7 @@ def test_info_names_two_distributions_of_opencv(monkeypatch):
 
     real = list(metadata.distributions())
     monkeypatch.setattr(metadata, "distributions", lambda: [*real, Other()])
-    said = CliRunner().invoke(app, ["info"]).output
+    said = finished("info")
     assert "opencv-python" in said
     assert "opencv-contrib-python-headless" in said
     assert "keep one" in said

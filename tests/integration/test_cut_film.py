@@ -5,11 +5,9 @@ import re
 
 import av
 import pytest
+from support.command import invoked
 from support.html_page import Page
 from support.paths import SAMPLES
-from typer.testing import CliRunner
-
-from modalcam.cli import app
 
 READ, DECLARED, FPS = 138, 1301, 500
 
@@ -29,7 +27,7 @@ def cut_film(tmp_path_factory):
 
 
 def test_a_cut_film_says_so_first_in_terminal_and_report(cut_film, tmp_path, in_process, no_figures):
-    result = CliRunner().invoke(app, ["run", str(cut_film), "-o", str(tmp_path / "out"), "--jobs", "1"])
+    result = invoked("run", cut_film, "-o", tmp_path / "out", "--jobs", 1)
     assert result.exit_code == 4
     counts = f"{READ} of the {DECLARED} frames that it declares could be read, 0.276 s of 2.602 s"
     said = " ".join(result.stderr.split())

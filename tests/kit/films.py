@@ -60,9 +60,11 @@ def decay_images(frames=FRAMES, seed=1, **drive):
 
 
 def write_decay(folder, *, name="take", **changes):
-    """Write the recording and experiment.toml; `changes` as for `decay_images`."""
+    """Write the recording and experiment.toml into the folder, and return it; `changes` as for `decay_images`."""
+    folder.mkdir(exist_ok=True)
     (folder / "experiment.toml").write_text(EXPERIMENT)
     write(folder / f"{name}.mkv", decay_images(**changes), codec="ffv1", rate=30)
+    return folder
 
 
 def write_faint_mode(folder, faint_hz, amplitude_px, *, count=6, frames=400, noise=12.0):

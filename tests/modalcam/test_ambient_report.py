@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from kit.beams import experiment
-from support.worker_tasks import InThisProcess
-from typer.testing import CliRunner
+from support.command import finished
 
 import modalcam as mc
 from benchmarks.ambient_scenes import FILMED_MM, ambient_film, response, series_of
-from modalcam.cli import app
 from sim import sample_beam
 from sim.beam import AncfBeam, beam_modes
 
@@ -30,11 +28,7 @@ def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ambient")
     table = record().to_dataframe()
     table[["time_s", "m1_mm", "m2_mm"]].to_csv(folder / "take.csv", index=False)
-    command = ["identify", str(folder / "take.csv"), "-o", str(folder / "out"), "--excitation", "ambient"]
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
-        result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    finished("identify", folder / "take.csv", "-o", folder / "out", "--excitation", "ambient")
     return folder / "out"
 
 
@@ -75,9 +69,7 @@ def test_a_film_of_the_sample_beam_in_the_wind(tmp_path, minutes):
     ambient_film(beam, zeta, films / "take.mkv", seed=1, duration_s=60.0 * minutes, rate_hz=30.0)
     camera = f"[camera]\nfps = 30\nmm_per_px = 1.0\n[markers]\nkind = 'blob'\npositions_mm = {FILMED_MM.tolist()}\n"
     (films / "experiment.toml").write_text(experiment(camera, elements=10))
-    command = ["run", str(films), "-o", str(tmp_path / "out"), "--excitation", "ambient"]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    finished("run", films, "-o", tmp_path / "out", "--excitation", "ambient")
     modes = pd.read_csv(tmp_path / "out" / "modes.csv")
     assert list(modes["mode"]) == [1, 2], "those of the simulation, by frequencies and shapes of theory"
     off_f = (modes.frequency_hz - beam.frequency_hz[:2]) / modes.frequency_sd_hz

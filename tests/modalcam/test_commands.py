@@ -86,7 +86,6 @@ def run(folder, out, *args):
 def folder(tmp_path_factory, decay_run):
     """That of the shared run and one with damaged frames, and a plugin whose damping model is selected."""
     folder = tmp_path_factory.mktemp("commands")
-    (folder / "videos").mkdir()
     write_decay(folder / "videos", name="b", seed=2)
     shutil.copy(decay_run / "videos" / "take.mkv", folder / "videos")
     damaged = bytearray((folder / "videos" / "b.mkv").read_bytes())
@@ -347,7 +346,6 @@ def group_ended(group, seconds):
 
 def test_recordings_are_left_out_by_the_configuration(tmp_path):
     folder, options = tmp_path / "videos", Options(out=tmp_path / "out")
-    folder.mkdir()
     for name in ("a", "b"):
         write_decay(folder, name=name)
     left_out = '[[recordings]]\nfile = "{}.mkv"\nleave_out = true\n'

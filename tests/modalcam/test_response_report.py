@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from kit.identified import in_sd
 from matplotlib.figure import Figure
-from support.worker_tasks import InThisProcess
-from typer.testing import CliRunner
+from support.command import finished, invoked
 
 import modalcam as mc
 from benchmarks.known_input_scenes import (
@@ -25,7 +24,6 @@ from benchmarks.known_input_scenes import (
     late_base,
     record,
 )
-from modalcam.cli import app
 from modalcam.pipeline import load_run
 
 #: Each of a dozen values within this many sd: one in 1000 seeds fails by chance.
@@ -42,20 +40,7 @@ def out(tmp_path_factory):
     """Results of `modalcam identify --input base`."""
     folder = tmp_path_factory.mktemp("response")
     _table(record("random", 11), folder / "take.csv")
-    command = [
-        "identify",
-        str(folder / "take.csv"),
-        "-o",
-        str(folder / "out"),
-        "--input",
-        "base",
-        "--unit",
-        "mm",
-    ]
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("modalcam.pipeline.pool.LocalExecutor", InThisProcess)
-        result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    finished("identify", folder / "take.csv", "-o", folder / "out", "--input", "base", "--unit", "mm")
     return folder / "out"
 
 
@@ -116,9 +101,8 @@ def test_the_interface_gives_the_response(out):
 def test_a_force_has_modal_masses(tmp_path):
     """The same record, its input called a force: 1 over the modal constant, and its relative sd."""
     _table(record("random", 11), tmp_path / "take.csv", names=("hammer", "a", "b", "c"))
-    command = ["identify", str(tmp_path / "take.csv"), "-o", str(tmp_path / "out"), "--input", "hammer"]
-    result = CliRunner().invoke(app, [*command, "--input-unit", "N", "--unit", "mm"])
-    assert result.exit_code == 0, result.output
+    units = ("--input", "hammer", "--input-unit", "N", "--unit", "mm")
+    finished("identify", tmp_path / "take.csv", "-o", tmp_path / "out", *units)
     table = pd.read_csv(tmp_path / "out" / "participation.csv")
     assert set(table.unit) == {"mm/(N s^2)"}
     np.testing.assert_allclose(table.modal_mass * table.participation, 1.0, rtol=1e-6)
@@ -132,11 +116,10 @@ def test_the_report_states_the_lag_of_the_input(tmp_path):
     one = record("hand", 2)
     rows = one.time_s < one.time_s[0] + 8.0
     _table(Record(one.time_s[rows], one.base[rows], one.values[rows]), tmp_path / "take.csv")
-    command = ["identify", str(tmp_path / "take.csv"), "--input", "base", "--unit", "mm", "--input-lag-ms"]
+    command = ("identify", tmp_path / "take.csv", "--input", "base", "--unit", "mm", "--input-lag-ms")
     for lag, words in (("-2.5", "was taken to be late by"), ("auto", "estimated with the modes")):
         out = tmp_path / f"out{lag}"
-        result = CliRunner().invoke(app, [*command, lag, "-o", str(out)])
-        assert result.exit_code == 0, result.output
+        finished(*command, lag, "-o", out)
         page = (out / "report.html").read_text("utf-8")
         assert words in page
         assert f"--input-lag-ms {lag}" in page
@@ -144,9 +127,7 @@ def test_the_report_states_the_lag_of_the_input(tmp_path):
 
 def test_an_input_that_is_no_channel_is_refused_with_the_channels(tmp_path):
     _table(record("random", 11), tmp_path / "take.csv")
-    result = CliRunner().invoke(
-        app, ["identify", str(tmp_path / "take.csv"), "--input", "clamp", "--unit", "mm"]
-    )
+    result = invoked("identify", tmp_path / "take.csv", "--input", "clamp", "--unit", "mm")
     assert result.exit_code != 0
     assert "--input clamp" in str(result.exception)
     assert "base, a, b, c" in str(result.exception)
@@ -159,20 +140,9 @@ def test_the_input_is_ignored_with_output_only(tmp_path):
     rows = one.time_s < one.time_s[0] + 5.0
     short = replace(one, time_s=one.time_s[rows], base=one.base[rows], values=one.values[rows])
     _table(short, tmp_path / "take.csv")
-    command = [
-        "identify",
-        str(tmp_path / "take.csv"),
-        "-o",
-        str(tmp_path / "out"),
-        "--unit",
-        "mm",
-        "--input",
-        "base",
-    ]
-    refused = CliRunner().invoke(app, command)
-    assert "does not move" in refused.output
-    result = CliRunner().invoke(app, [*command, "--output-only", "--force"])
-    assert result.exit_code == 0, result.output
+    command = ("identify", tmp_path / "take.csv", "-o", tmp_path / "out", "--unit", "mm", "--input", "base")
+    assert "does not move" in invoked(*command).output
+    finished(*command, "--output-only", "--force")
     assert not (tmp_path / "out" / "response").exists()
     assert len(pd.read_csv(tmp_path / "out" / "modes.csv")) == FREQUENCIES_HZ.size
 
@@ -194,7 +164,7 @@ def shaken(tmp_path_factory):
 def _run(films, out, experiment):
     camera = f"[camera]\nfps = {FILM_RATE_HZ}\nmm_per_px = {FILM_MM_PER_PX}\n[markers]\nkind = 'blob'\n"
     (films / "experiment.toml").write_text(camera + experiment)
-    return CliRunner().invoke(app, ["run", str(films), "-o", str(out)])
+    finished("run", films, "-o", out)
 
 
 def _check_film(out, channels, participation):
@@ -211,8 +181,7 @@ def _check_film(out, channels, participation):
 
 @pytest.mark.usefixtures("in_process", "no_figures")
 def test_a_marker_on_the_clamp_is_the_input_of_a_film(shaken, tmp_path):
-    result = _run(shaken, tmp_path / "out", 'input = ["m1"]\n')
-    assert result.exit_code == 0, result.output
+    _run(shaken, tmp_path / "out", 'input = ["m1"]\n')
     _check_film(tmp_path / "out", ["m2", "m3", "m4"], PARTICIPATION[0, ::-1])
 
 
@@ -220,17 +189,15 @@ def test_a_marker_on_the_clamp_is_the_input_of_a_film(shaken, tmp_path):
 def test_a_file_beside_a_film_holds_its_input(shaken, tmp_path):
     """At twice the rate of the film and late; the marker on the clamp does not move relative to it."""
     entry = "[[recordings]]\nfile = 'take.mkv'\ninput_file = 'laser.csv'\ninput_unit = 'mm'\ninput_lag_ms = 'auto'\n"
-    result = _run(shaken, tmp_path / "out", entry)
-    assert result.exit_code == 0, result.output
+    _run(shaken, tmp_path / "out", entry)
     _check_film(tmp_path / "out", ["m1", "m2", "m3", "m4"], np.append(0.0, PARTICIPATION[0, ::-1]))
     response = load_run(tmp_path / "out").recordings[0].identification.response
     off_s = response.input_lag_s - 0.025
     assert abs(off_s) < _LIMIT * response.input_lag_sd_s, f"found {1e3 * response.input_lag_s} ms, not 25"
-    again = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
-    assert "computed take\n" not in again.output.partition("reading")[2].partition("\n")[2], again.output
+    again = invoked("run", shaken, "-o", tmp_path / "out").output
+    assert "computed take\n" not in again.partition("reading")[2].partition("\n")[2], again
     (shaken / "laser.csv").write_text("time_s,clamp\n0,0\n1,0\n")
-    changed = CliRunner().invoke(app, ["run", str(shaken), "-o", str(tmp_path / "out")])
-    assert "laser.csv: expected at least 8 samples" in changed.output
+    assert "laser.csv: expected at least 8 samples" in invoked("run", shaken, "-o", tmp_path / "out").output
 
 
 @pytest.mark.usefixtures("in_process", "no_figures")
@@ -240,10 +207,8 @@ def test_the_force_of_another_recorder_beside_a_table(tmp_path):
     series, force = np.column_stack([one.time_s, one.values]), np.column_stack([one.force_time_s, one.force])
     np.savetxt(tmp_path / "take.csv", series, delimiter=",", header="time_s,a,b,c", comments="", fmt="%.9g")
     np.savetxt(tmp_path / "hammer.csv", force, delimiter=",", header="time_s,force", comments="", fmt="%.9g")
-    command = ["identify", str(tmp_path / "take.csv"), "-o", str(tmp_path / "out"), "--unit", "mm"]
-    command += ["--input-file", str(tmp_path / "hammer.csv"), "--input-lag-ms", "-12"]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    force = ("--input-file", tmp_path / "hammer.csv", "--input-lag-ms", "-12")
+    finished("identify", tmp_path / "take.csv", "-o", tmp_path / "out", "--unit", "mm", *force)
     modes = pd.read_csv(tmp_path / "out" / "modes.csv")
     table = pd.read_csv(tmp_path / "out" / "participation.csv")
     for row, hz, zeta in zip(modes.itertuples(), FREQUENCIES_HZ, DAMPING_RATIOS, strict=True):

@@ -12,6 +12,7 @@ import pytest
 from kit import films
 from kit.series import ruler_with_click, several_plucks, steady_drive
 from rich.console import Console
+from support.command import invoked
 from support.paths import APPS, COMMANDS_OF_APPS
 from typer.testing import CliRunner
 
@@ -327,7 +328,7 @@ def test_identify_says_what_it_took_for_what(tmp_path, modalcam):
 def test_progress_for_a_program_is_one_object_a_line(videos, tmp_path, in_process, no_figures):
     """Stages with their tasks, failures without a line break, and at last the exit code; the report's path as ever."""
     given = ("run", videos, "-o", tmp_path / "out", "--jobs", 1, "--progress", "json")
-    done = CliRunner().invoke(cli.app, list(map(str, given)))
+    done = invoked(*given)
     events = list(map(json.loads, done.stderr.splitlines()))
     assert events[-1] == {"event": "end", "exit_code": done.exit_code}
     assert done.stdout == f"{tmp_path / 'out' / 'report.html'}\n"
@@ -335,7 +336,7 @@ def test_progress_for_a_program_is_one_object_a_line(videos, tmp_path, in_proces
     assert {"event": "advance", "name": "take", "reused": False} in events
     assert any(event["text"].startswith("take.mkv: a mode: ") for event in events if event["event"] == "say")
     (videos / "take.mkv").unlink()
-    done = CliRunner().invoke(cli.app, list(map(str, given)))
+    done = invoked(*given)
     said, end = map(json.loads, done.stderr.splitlines())
     assert (done.exit_code, done.stdout, end["exit_code"]) == (ExitCode.NO_INPUT, "", ExitCode.NO_INPUT)
     assert "no recording" in said["text"]

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from kit.bars import bending_stiffness, sandwich_stiffness
 from kit.runs import beam_result, paper_recordings, run_result
+from support.command import finished, invoked
 from support.paths import ROOT
-from typer.testing import CliRunner
 
 from modalcam.apps.material import (
     MATERIAL_COLUMNS,
@@ -25,7 +25,6 @@ from modalcam.apps.material import (
     oberst_layer,
     of_run,
 )
-from modalcam.cli import app
 from modalcam.common import InputError
 from modalcam.pipeline import load_run
 from modalcam.report import build_report
@@ -254,9 +253,7 @@ def test_a_layer_from_two_runs(samples_run, tmp_path):
     """Both runs are the same: the layer adds mass, but the frequency stays, so that a is 1 + D T."""
     out = tmp_path / "layer.csv"
     layer = ["--layer-thickness-mm", "0.25+-.01", "--layer-density-kg-m3", "1600+-10", "--specimen", "oberst"]
-    words = ["material", str(samples_run), "--base", str(samples_run), *layer, "-o", str(out)]
-    shown = CliRunner().invoke(app, words)
-    assert shown.exit_code == 0, shown.output
+    finished("material", samples_run, "--base", samples_run, *layer, "-o", out)
     table = pd.read_csv(out).set_index(["mode", "quantity"])["value"]
     for number in range(1, 6):
         e, eta = table[number, "E"], table[number, "loss_factor"]
@@ -266,16 +263,15 @@ def test_a_layer_from_two_runs(samples_run, tmp_path):
 
 def test_the_command_writes_the_columns_of_the_registry(tmp_path):
     out = tmp_path / "material.csv"
-    words = ["material", *WORDS, "--mode", "1:18+-.1:0.002+-.0001", "--mode", "2:107+-.1", "-o", str(out)]
-    shown = CliRunner().invoke(app, words)
-    assert shown.exit_code == 0, shown.output
-    assert "Computed with the equations of ASTM E756-05(2017)." in shown.output
-    assert "conform" not in shown.output
+    words = ["material", *WORDS, "--mode", "1:18+-.1:0.002+-.0001", "--mode", "2:107+-.1", "-o", out]
+    shown = finished(*words)
+    assert "Computed with the equations of ASTM E756-05(2017)." in shown
+    assert "conform" not in shown
     table = pd.read_csv(out)
     assert list(table.columns) == [column.name for column in MATERIAL_COLUMNS]
     assert list(table.quantity) == ["E", "loss_factor", "E"]
     first = out.read_bytes()
-    assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 0
+    finished(*words, "--force")
     assert out.read_bytes() == first
 
 
@@ -294,6 +290,6 @@ def test_the_command_writes_the_columns_of_the_registry(tmp_path):
     ],
 )  # fmt: skip
 def test_what_cannot_be_computed_is_refused(words, message):
-    refused = CliRunner().invoke(app, ["material", *words])
+    refused = invoked("material", *words)
     assert isinstance(refused.exception, InputError)
     assert message in str(refused.exception)

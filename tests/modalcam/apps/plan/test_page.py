@@ -1,10 +1,9 @@
 """A plan in the terminal and as a page."""
 
 from kit.beams import BEAM
+from support.command import finished
 from support.html_page import assert_sound
-from typer.testing import CliRunner
 
-from modalcam import cli
 from modalcam.apps.plan import Plan, TrialSummary, plan_html, predict
 from modalcam.report.style import significant
 
@@ -17,9 +16,7 @@ def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):
         + "".join(f"{k} = {v}\n" for k, v in BEAM.items())
     )
     out = tmp_path / "plan.html"
-    result = CliRunner().invoke(cli.app, ["plan", str(config), "-o", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "10.57" in result.output
+    assert "10.57" in finished("plan", config, "-o", out)
     found = assert_sound(out.read_text(encoding="utf-8"))
     assert "script" not in found.tags
     assert "10.579 ±" in found.words

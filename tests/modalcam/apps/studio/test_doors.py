@@ -45,14 +45,9 @@ async def send_rubbish(address, cookie):
 
 
 def test_rubbish_and_links_are_answered_without_a_word(tmp_path):
-    folder, out = tmp_path / "videos", tmp_path / "out"
-    folder.mkdir()
-    write_decay(folder)
+    folder, out = write_decay(tmp_path / "videos"), tmp_path / "out"
     (tmp_path / "private.html").write_text("secret")
-    with running_studio("studio", folder, "-o", out, cwd=tmp_path, stderr=subprocess.PIPE) as (
-        address,
-        process,
-    ):
+    with running_studio("studio", folder, "-o", out, cwd=tmp_path, stderr=subprocess.PIPE) as (address, ran):
         cookie = cookie_of(address)
         out.mkdir(exist_ok=True)
         (out / "report.html").symlink_to(tmp_path / "private.html")
@@ -65,7 +60,7 @@ def test_rubbish_and_links_are_answered_without_a_word(tmp_path):
         # the exception of a task is reported when the task is collected
         time.sleep(0.5)
         assert answer(address, "/", Cookie=cookie)[0] == 200, "the studio still answers"
-        process.send_signal(2)
-        said = process.stderr.read()
+        ran.send_signal(2)
+        said = ran.stderr.read()
     assert said.count("\n") == 1, said
     assert "Ctrl-C ends the studio" in said

@@ -109,9 +109,7 @@ def test_closing_ends_the_process(tmp_path):
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("end", ["cancel", "close"])
 def test_a_run_that_is_ended_loses_nothing_and_can_be_repeated(tmp_path, end):
-    folder, out = tmp_path / "videos", tmp_path / "out"
-    folder.mkdir()
-    write_decay(folder)
+    folder, out = write_decay(tmp_path / "videos"), tmp_path / "out"
     runner = Runner()
     runner.start(folder, out)
     wait_for(lambda: runner.state.stage.name == "identifying" or not runner.is_running, 300)

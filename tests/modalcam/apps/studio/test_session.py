@@ -176,9 +176,7 @@ def test_one_recording_alone(folder, tmp_path):
 
 
 def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder)
+    folder = write_decay(tmp_path / "videos")
     studio = new_studio(folder)
     (marker,) = studio.detect(0)
     assert (marker.x_px, marker.y_px) == pytest.approx((36, 16), abs=1.5)
@@ -219,9 +217,7 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
 
 def test_a_test_track_begins_at_any_frame_and_calls_no_driven_part_a_decay(tmp_path):
     """A dot is driven for 2 s, hardly weaker with time, and then decays at 1 / s, which 200 frames show to a 20th."""
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder, frames=440, onset_s=2.0, weaker_1_s=0.05)
+    folder = write_decay(tmp_path / "videos", frames=440, onset_s=2.0, weaker_1_s=0.05)
     studio = new_studio(folder)
     frames = studio.frame_count(0)
     whole = studio.track_some(0, 400).tracks
@@ -265,9 +261,7 @@ def test_what_is_followed_already_is_not_proposed(folder):
 
 
 def test_a_test_track_tells_how_far_it_is_and_can_be_cancelled(tmp_path):
-    folder, seen = tmp_path / "videos", []
-    folder.mkdir()
-    write_decay(folder)
+    folder, seen = write_decay(tmp_path / "videos"), []
 
     class Watched(InThisProcess):
         def map(self, function, tasks):
@@ -284,9 +278,7 @@ def test_a_test_track_tells_how_far_it_is_and_can_be_cancelled(tmp_path):
 
 
 def test_windows_are_drawn_as_a_run_chooses_them(tmp_path):
-    folder = tmp_path / "videos"
-    folder.mkdir()
-    write_decay(folder)
+    folder = write_decay(tmp_path / "videos")
     studio = new_studio(folder)
     studio.draft.set_for("take.mkv", {"kind": "patch", "points_px": [[36, 16]]})
     (size,) = studio.window_sizes(0)

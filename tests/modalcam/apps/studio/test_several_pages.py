@@ -17,10 +17,7 @@ RATE = "Recorded rate of all recordings / fps"
 
 @pytest.fixture
 def folder(tmp_path):
-    videos = tmp_path / "videos"
-    videos.mkdir()
-    write_decay(videos)
-    return videos
+    return write_decay(tmp_path / "videos")
 
 
 def test_two_browsers_edit_one_draft_and_one_of_them_runs(folder, tmp_path):

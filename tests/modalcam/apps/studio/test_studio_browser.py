@@ -26,9 +26,7 @@ BEAM = {
 
 
 def test_markers_set_by_clicks_are_saved(tmp_path):
-    folder, out = tmp_path / "videos", tmp_path / "out"
-    folder.mkdir()
-    write_decay(folder, name='<img src=x onerror="alert(1)">')
+    folder, out = write_decay(tmp_path / "videos", name='<img src=x onerror="alert(1)">'), tmp_path / "out"
     before = (folder / "experiment.toml").read_bytes()
     with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _):
         assert answer(address)[0] == 403
@@ -84,10 +82,8 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
     assert (saved["camera"]["fps"], saved["camera"]["fps_tolerance_ppm"], entry["mode"]) == (200, 20, 1)
     assert [*saved["beam"].values()] == [*map(float, BEAM.values()), "angled", 0]
     assert not (out / "state" / "draft.json").exists()
-    assert sorted(p.name for p in folder.iterdir()) == [
-        '<img src=x onerror="alert(1)">.mkv',
-        "experiment.toml",
-    ]
+    names = [p.name for p in sorted(folder.iterdir())]
+    assert names == ['<img src=x onerror="alert(1)">.mkv', "experiment.toml"]
 
 
 @pytest.mark.slow  # the same frame view is that of the studio, above
@@ -164,9 +160,7 @@ def checked(page, width):
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (800, "dark")])
 def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
     """From the recorded rate to a link in the report; the film shows 10.2 Hz at 100 fps, said to be 200 fps."""
-    folder, out = tmp_path / "videos", tmp_path / "out"
-    folder.mkdir()
-    write_decay(folder)
+    folder, out = write_decay(tmp_path / "videos"), tmp_path / "out"
     options = {"viewport": {"width": width, "height": 900}, "color_scheme": scheme}
     with (
         running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _),
@@ -312,9 +306,7 @@ def test_a_mode_below_the_threshold_is_added_by_a_click_on_the_spectrum(tmp_path
 @pytest.mark.slow  # the model of each view is tested in this folder
 def test_every_view_is_shown_without_an_error_before_and_after_a_run(tmp_path):
     """Charts change while another view is open, and are not drawn: `opened` fails for what the console says."""
-    folder, out = tmp_path / "videos", tmp_path / "out"
-    folder.mkdir()
-    write_decay(folder)
+    folder, out = write_decay(tmp_path / "videos"), tmp_path / "out"
     write_decay(folder, name="other", seed=3)
     views = ("Recordings", "Markers", "Beam", "Test track", "Run and report", "Decay")
     with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _), opened(address) as page:
