@@ -68,11 +68,9 @@ def test_bands_hold_the_curvature_of_a_filmed_strip(mode, tmp_path):
     z, at_mm = [], np.array([0.0, 60.0, 140.0, 220.0, 300.0, 380.0, 450.0])
     for seed in range(3):
         tracks = tracked(ModeFilm(mode, 300 + seed, frames=200), tmp_path)
-        identified = identify(
-            displacement_series(tracks, unit="px"), IdentifySettings(onset_s=0.0, seed=seed)
-        )
-        found = max(identified.modes, key=lambda each: each.amplitude)
-        positions_mm = identified.series.positions_mm
+        answer = identify(displacement_series(tracks, unit="px"), IdentifySettings(onset_s=0.0, seed=seed))
+        found = max(answer.modes, key=lambda each: each.amplitude)
+        positions_mm = answer.series.positions_mm
         bend = beam_curvature(positions_mm, found.shape, found.shape_sd, LENGTH_MM, at_mm, tracks.ends_sd_mm)
         assert isinstance(bend, Curvature), bend.reason
         used = np.isfinite(found.shape)

@@ -296,12 +296,10 @@ def hostile_run():
     whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, time_axis=PLAYBACK, **quick)
     nothing = {"series": None, "identification": None}
     files = [replace(whole, name=n, file=n, tracks=FailedTracking(n, n), **nothing) for n in HOSTILE]
-    texts = {
-        "command_line": " ".join(HOSTILE),
-        "resolved_config": "\n".join(HOSTILE),
-        "versions": (HOSTILE[:2],),
-    }
-    return run_result((*files, *compared([whole])), folder=HOSTILE[0], not_done=HOSTILE, **texts)
+    texts = {"command_line": " ".join(HOSTILE), "resolved_config": "\n".join(HOSTILE)}
+    return run_result(
+        (*files, *compared([whole])), folder=HOSTILE[0], not_done=HOSTILE, versions=(HOSTILE[:2],), **texts
+    )
 
 
 def run_result(recordings=(), *, beam=None, not_done=(), folder="beam on the shaker", **more):

@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 from kit.identified import assert_inside, quick
-from kit.series import (
-    PAPER_HZ,
-    PAPER_ZETA,
-    QUICK,
-    clamped_free_shapes,
-    cramer_rao,
-    one_mode,
-    pole_of,
-    series_of,
-)
-
-from modal_id import IdentifySettings, identify
+from kit.series import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, cramer_rao, one_mode, pole_of, series_of
 
 
 @pytest.mark.parametrize(
@@ -90,8 +79,7 @@ def test_a_mode_at_a_possible_alias_is_flagged():
     """At a sampling rate of 100 Hz, 88.6 Hz appears at 11.4 Hz, near mode 2; alone it would be numbered 2."""
     t = np.arange(600) / 100
     y = np.exp(pole_of(88.6, 0.003) * t).real + 0.01 * np.random.default_rng(0).standard_normal(t.size)
-    settings = IdentifySettings(expected_frequencies_hz=tuple(PAPER_HZ), onset_s=0.0, sampler=QUICK)
-    target = identify(series_of(t, y), settings).target
+    target = quick(series_of(t, y), expected_frequencies_hz=tuple(PAPER_HZ), onset_s=0.0).target
     assert target.frequency_hz == pytest.approx(11.4, abs=0.01)
     assert "ALIASED_POSSIBLE" in target.flags
     assert any("mode 5" in note and "88.6" in note for note in target.notes)
@@ -103,10 +91,8 @@ def test_a_matching_shape_rules_out_the_alias():
     t = np.arange(600) / 100
     y = np.exp(pole_of(PAPER_HZ[1], 0.003) * t).real[:, None] * shapes[:, 1]
     y = y + 0.01 * np.random.default_rng(0).standard_normal(y.shape)
-    settings = IdentifySettings(
-        expected_frequencies_hz=tuple(PAPER_HZ), expected_shapes=shapes, onset_s=0.0, sampler=QUICK
-    )
-    target = identify(series_of(t, y, positions_mm=positions), settings).target
+    theory = {"expected_frequencies_hz": tuple(PAPER_HZ), "expected_shapes": shapes}
+    target = quick(series_of(t, y, positions_mm=positions), onset_s=0.0, **theory).target
     assert target.number == 2
     assert "ALIASED_POSSIBLE" not in target.flags
 

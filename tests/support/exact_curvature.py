@@ -51,23 +51,11 @@ class ExactCurvatureBeam(AncfBeam):
 def exact_bending(
     nodal: FloatArray, dshape: FloatArray, ddshape: FloatArray, stiffness: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Energy, force and tangent of the exact curvature.
+    """Energy, forces (ne, 8) and tangents (ne, 8, 8) of the exact curvature, over the coordinates of each element.
 
-    Parameters
-    ----------
-    nodal : array, shape (ne, 4, 2)
-        Displacement along and across of (position, slope) of each element's two nodes.
-    dshape, ddshape : array, shape (g, 4)
-        First and second derivatives of the shape functions at the Gauss points.
-    stiffness : array, shape (ne, g)
-        EI times the Gauss weight in m.
-
-    Returns
-    -------
-    energy_j : float
-    force : array, shape (ne, 8)
-    tangent : array, shape (ne, 8, 8)
-        Over the coordinates of each element: (axial, transverse) of position and slope of either node.
+    Those are (axial, transverse) of position and slope of either node. `nodal`, (ne, 4, 2), holds the displacement
+    along and across of (position, slope) of each element's two nodes, `dshape` and `ddshape`, (g, 4), the derivatives
+    of the shape functions at the Gauss points, and `stiffness`, (ne, g), EI times the Gauss weight in m.
     """
     z = np.concatenate(
         [np.einsum("gk,ekd->egd", dshape, nodal), np.einsum("gk,ekd->egd", ddshape, nodal)], axis=-1
@@ -107,21 +95,7 @@ def exact_bending(
 def assembled_bending(
     coordinates: FloatArray, dshape: FloatArray, ddshape: FloatArray, stiffness: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """`exact_bending` for a whole beam.
-
-    Parameters
-    ----------
-    coordinates : array, shape (4 (ne + 1),)
-        Of all nodes, the clamp's first.
-    dshape, ddshape, stiffness :
-        As for `exact_bending`.
-
-    Returns
-    -------
-    energy_j : float
-    force : array, shape (4 (ne + 1),)
-    tangent : array, shape (4 (ne + 1), 4 (ne + 1))
-    """
+    """`exact_bending` for a whole beam, over the coordinates (4 (ne + 1),) of all nodes, the clamp's first."""
     nodes = coordinates.reshape(-1, 4)
     nodal = np.concatenate([nodes[:-1], nodes[1:]], axis=1).reshape(-1, 4, 2)
     energy, forces, tangents = exact_bending(nodal, dshape, ddshape, stiffness)

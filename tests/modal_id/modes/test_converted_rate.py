@@ -147,18 +147,9 @@ def test_frames_that_a_codec_predicts_are_no_conversion(tmp_path, kind, px, seed
 
 # Frames that are left out are recognised in the first test of this file, too.
 # The side bands of doubled 4, seed 3, and blended up 50, seed 3, divide the record in parts too short for a pattern.
-SOME = [
-    ("left out", 25, 0),
-    ("blended up", 10, 0),
-    ("blended up", 50, 3),
-    ("blended up", 2, 4),
-    ("doubled", 4, 3),
-]
-SOME = [
-    ("blended down", 5, 0),
-    ("doubled", 5, 0),
-    *(pytest.param(*case, marks=pytest.mark.slow) for case in SOME),
-]
+MORE = [("left out", 25, 0), ("blended up", 10, 0), ("blended up", 50, 3), ("blended up", 2, 4)]
+MORE = [pytest.param(*case, marks=pytest.mark.slow) for case in (*MORE, ("doubled", 4, 3))]
+SOME = [("blended down", 5, 0), ("doubled", 5, 0), *MORE]
 
 
 @pytest.mark.parametrize(("way", "every", "seed"), SOME)

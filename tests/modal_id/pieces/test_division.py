@@ -90,12 +90,7 @@ def test_what_a_codec_leaves_out_is_no_change_of_the_motion(seed):
     lost = 1.5 * sd * rng.integers(0, 2, int(5.0 * T[-1]) + 1)[(5.0 * T).astype(int)]
     values = (amplitude - np.minimum(lost, amplitude)) * np.real(wave) / np.abs(wave)
     values = values + sd * rng.standard_normal(T.size)
-    sds = {
-        "shrinkage": 0.5 * sd,
-        "shrinkage_sd": 0.45 * sd,
-        "lag_sd": 0.25 * sd,
-        "frame_s": float(T[1] - T[0]),
-    }
+    sds = {"shrinkage": 0.5 * sd, "shrinkage_sd": 0.45 * sd, "lag_sd": 0.25 * sd, "frame_s": 1.0 / 200.0}
     predicted = errors_of_positions(1, rows=0, period_px=8.0, along_px=1.0, predicted=True, **sds)
     series = replace(series_of(T, values), position_errors=predicted)
     found = quick(series)

@@ -95,13 +95,8 @@ def test_stop_is_located_within_half_a_sample(relative, records):
     errors, sds = [], []
     for seed, (mode, stop_s, duration_s) in enumerate(STOPS[:records]):
         when = stop_s + 1e-3 * rng.random()
-        given = {
-            "stop_s": when,
-            "phase": rng.uniform(-0.4, 0.4),
-            "duration_s": duration_s,
-            "relative": relative,
-        }
-        series = base_stopped_dead(mode, snr_db=40.0, fps=1000.0, seed=seed, **given)
+        given = {"stop_s": when, "phase": rng.uniform(-0.4, 0.4), "duration_s": duration_s}
+        series = base_stopped_dead(mode, snr_db=40.0, fps=1000.0, seed=seed, relative=relative, **given)
         onset = found_onset(series, mode)
         assert onset.source == "model"
         assert onset.fit_from_s > when

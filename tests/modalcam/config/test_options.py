@@ -32,10 +32,8 @@ REQUIRED = {
     "beam.point_masses.rotary_inertia_g_mm2": {"mass_g": 1.0, "position_mm": 1.0},
     "beam.clamp.translation_n_m": {"rotation_n_m_rad": 1.0},
 }
-OF_A_FILE = (
-    "leave_out input_file input_column input_unit mode target_frequency_hz reject_hz add_hz onset_s end_s"
-)
-OF_A_FILE += " components excitation output_only input_lag_ms"
+OF_A_FILE = "leave_out input_file input_column input_unit mode target_frequency_hz reject_hz add_hz"
+OF_A_FILE += " onset_s end_s components excitation output_only input_lag_ms"
 REQUIRED |= {f"recordings.{key}": {"file": "a.avi"} for key in OF_A_FILE.split()}
 
 

@@ -77,20 +77,10 @@ def test_round_trip_of_the_series(tmp_path, fps):
 
 
 def function(node, time_s, values, **more):
-    given = {
-        "func_type": 1,
-        "rsp_node": node,
-        "rsp_dir": 3,
-        "ref_node": 0,
-        "ref_dir": 0,
-        "abscissa_spacing": 1,
-    }
-    given |= dict.fromkeys(("orddenom_spec_data_type", "z_axis_spec_data_type"), 0)
-    given |= {
-        "abscissa_spec_data_type": 17,
-        "ordinate_spec_data_type": 12,
-        "ordinate_axis_units_lab": "m/s^2",
-    }
+    given = {"func_type": 1, "rsp_node": node, "rsp_dir": 3, "abscissa_spacing": 1}
+    zeros = ("ref_node", "ref_dir", "orddenom_spec_data_type", "z_axis_spec_data_type")
+    given |= dict.fromkeys(zeros, 0) | {"ordinate_axis_units_lab": "m/s^2"}
+    given |= {"abscissa_spec_data_type": 17, "ordinate_spec_data_type": 12}
     return pyuff.prepare_58(binary=0, data=values, x=time_s, **(given | more))
 
 

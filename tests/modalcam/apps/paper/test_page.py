@@ -10,16 +10,8 @@ from kit import runs
 from support.html_page import Page, assert_sound
 
 from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
-from modalcam.apps.paper import (
-    TrueMode,
-    checks,
-    numbers,
-    paper_html,
-    paper_page,
-    recompute,
-    tables,
-    variables,
-)
+from modalcam.apps.paper import TrueMode, checks, numbers, paper_html, paper_page, recompute, variables
+from modalcam.apps.paper import tables as paper_tables
 from modalcam.pipeline import BeamResult
 from modalcam.report import best_modes
 from sim import paper_beam
@@ -58,7 +50,7 @@ def html():
 
 def words_with(measured, truth=NOTHING):
     """Words of the page with other measured modes, without figures for speed."""
-    table = tables.table_2(measured, truth)
+    table = paper_tables.table_2(measured, truth)
     new = replace(page(), truth=truth, table2=table, checks=checks(table, (), paper()), panels=(), models=())
     return assert_sound(paper_html(new)).words
 

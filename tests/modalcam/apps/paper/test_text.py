@@ -4,16 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from modalcam.apps.paper import (
-    error,
-    numbered,
-    of_all,
-    percent_range,
-    signed_percent,
-    signed_range,
-    templates,
-    within,
-)
+from modalcam.apps.paper import error, numbered, of_all, percent_range, signed_percent, signed_range, within
+from modalcam.apps.paper import templates as paper_templates
 
 
 def test_lists_and_counts():
@@ -27,7 +19,7 @@ def test_lists_and_counts():
 
 
 def test_odds_beyond_the_largest_number_are_infinite():
-    assert templates().from_string("{{ 800.0|exponential|significant(2) }}").render() == "∞"
+    assert paper_templates().from_string("{{ 800.0|exponential|significant(2) }}").render() == "∞"
 
 
 def test_percentages():
@@ -53,7 +45,7 @@ def test_variables_at_their_bound_are_named_in_ranges():
         }
         return SimpleNamespace(bound=0.1, density_factor=density, **fields)
 
-    bound = templates().get_template("bound.html.j2").module
+    bound = paper_templates().get_template("bound.html.j2").module
     assert bound.at_bound(update(0.9, elements=[1, 2, 3, 8])) == (
         "5 of them end at the bound: density at −10 % and width of elements 2 to 4 and 9 at +10 %"
     )

@@ -6,17 +6,9 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from modalcam.apps.studio import (
-    DetectedMarker,
-    Draft,
-    in_image,
-    marked,
-    markers_text,
-    on_canvas,
-    overlay,
-    trail,
-)
+from modalcam.apps.studio import DetectedMarker, Draft, in_image, marked, markers_text, overlay, trail
 from modalcam.apps.studio import markers as edit
+from modalcam.apps.studio import on_canvas as to_canvas
 from modalcam.common import ModalcamError
 from modalcam.config import RecordingConfig
 
@@ -155,7 +147,7 @@ def test_the_nearest_point_is_taken_hold_of():
 def test_pixel_centres_are_at_integers():
     """The middle of the first pixel is half a pixel from the corner of the picture."""
     assert in_image(0.5, 0.5) == (0.0, 0.0)
-    assert on_canvas(*in_image(12.5, 3.5)) == (12.5, 3.5)
+    assert to_canvas(*in_image(12.5, 3.5)) == (12.5, 3.5)
 
 
 def shapes(content):
