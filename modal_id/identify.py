@@ -272,8 +272,8 @@ def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
     """Probability that a mode of a decay is a drive: 0 where the user says that the motion is free."""
     if one.onset.source == "user":
         return 0.0
-    prior = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
-    prior = prior if mode.target else PRIOR_BESIDE_A_DECAY
+    after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
+    prior = after if mode.target else PRIOR_BESIDE_A_DECAY
     radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
     return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 

@@ -60,7 +60,6 @@ class Tuning:
 
 TUNING = Tuning()
 
-
 # Samples of a block at whose beginning the integrals are kept.
 _BLOCK = 4096
 
