@@ -33,7 +33,7 @@ pool.LocalExecutor = InThisProcess
 def examples():
     """Python and template blocks by the file name in their first line."""
     text = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"(?ms)^```\w+\n(?:# |{#)([\w./]+)(?: #})?\n(.*?)^```$", text)
+    blocks = re.findall(r"(?ms)^```\w+\n(?:# |{# )([\w./]+)(?: #})?\n(.*?)^```$", text)
     return dict(blocks)
 
 
