@@ -1,4 +1,4 @@
-"""Columns of ``modes.csv`` and names of the values of a mode in ``summary.json``: declared here and nowhere else.
+"""Columns of ``modes.csv`` and names of the values of a mode in ``summary.json``.
 
 Without NumPy: the command prints a run that is up to date by these names.
 """

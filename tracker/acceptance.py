@@ -11,7 +11,7 @@ import numpy as np
 class Tuning:
     """Limits of a fit of a model to pixels and of its flags; the polynomial that predicts the next frame."""
 
-    #: [1] share of the pixels that the model must explain, as a correlation, unless the residual is noise
+    #: [1] least correlation of the pixels with the model, unless the residual is noise
     least_correlation: float = 0.85
     #: [1] multiple of the usual chi-square per degree of freedom up to which a residual is noise
     good_chi2: float = 3.0

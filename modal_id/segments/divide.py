@@ -333,7 +333,7 @@ class _Division:
             return None
         driving, found = _Piece(start_s, start_s + found.time_s, None), _shifted(found, start_s)
         free = _Piece(found.fit_from_s, end_s, None)
-        if not self._keeps_amplitude(driving) or not self._is_driven(driving, free, prior):
+        if not self._keeps_amplitude(driving) or not self._drive_precedes(driving, free, prior):
             return None
         return found
 
@@ -343,7 +343,7 @@ class _Division:
         after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
-    def _is_driven(self, piece: _Piece, follows: _Piece, prior: float) -> bool:
+    def _drive_precedes(self, piece: _Piece, follows: _Piece, prior: float) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
         late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles

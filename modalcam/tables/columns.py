@@ -3,7 +3,7 @@
 The columns of a result stand next to its class, so that its data frame has them too: those of modes in
 `modal_id/columns.py`, of tracks in `tracker/results.py`, of comparisons in `sim/comparison/results.py`, of the updating
 in `sim/updating/update.py`, of damping laws in `sim/damping/evidence.py`. To add a column, write a `Column` into the
-tuple of its table; CSV, JSON and docs/columns.md follow.
+tuple of its table; CSV and docs/columns.md follow. The groups of `summary.json` are listed in `summary.py`.
 """
 
 from __future__ import annotations

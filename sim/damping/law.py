@@ -162,7 +162,7 @@ class ParametricLaw(DampingLaw):
 class PowerLaw(ParametricLaw):
     """A damping ratio proportional to a power of the frequency."""
 
-    def __init__(self, power: int) -> None:
+    def __init__(self, power: float) -> None:
         self.power = power
 
     def log_ratio(self, omega: FloatArray, reference: float, section: BeamSection | None) -> FloatArray:  # noqa: ARG002

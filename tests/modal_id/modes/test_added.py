@@ -123,4 +123,6 @@ def test_intervals_of_added_modes_contain_the_truth():
             inside.append(low <= FAINT_ZETA <= high)
     least = int(binom.ppf(1e-3, len(inside), 0.9))
     assert len(inside) >= 25, "most records determine it"
-    assert sum(inside) >= least, f"{sum(inside)} of {len(inside)} 90 % intervals; bound of 1 in 1000: {least}"
+    assert sum(inside) >= least, (
+        f"{sum(inside)} of {len(inside)} 90 % intervals; binomial bound of 1 in 1000: {least}"
+    )
