@@ -269,7 +269,7 @@ def _of_decays(
 
 
 def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
-    """Probability that a mode of a decay is a drive: 0 where the user, or the beam beside the target, says otherwise."""
+    """Probability that a mode of a decay is a drive: 0 where the user says it is free, or theory expects it there."""
     if one.onset.source == "user" or (mode.number is not None and not mode.target):
         return 0.0
     after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
