@@ -169,8 +169,9 @@ def _copied_run(parts: list[str], constant: Constant, value: float) -> Iterator[
             yield receiving.recv()
     except EOFError:
         yield "stops"
-    process.kill()
-    process.join()
+    finally:
+        process.kill()
+        process.join()
 
 
 def _changed_parts(parts: list[str], constant: Constant, value: float, sending: Connection) -> None:

@@ -192,9 +192,10 @@ def _too_much_missing(seen: BoolArray, step_s: float) -> Refusal | None:
     longest = int(np.max(lengths, initial=0))
     if share <= TUNING.missing and longest <= TUNING.longest_gap:
         return None
-    limits, longest_s = (100.0 * TUNING.missing, TUNING.longest_gap), longest * step_s
+    most_percent, percent = 100.0 * TUNING.missing, 100.0 * share
+    longest_s, most = longest * step_s, TUNING.longest_gap
     return Reason.MISSING(
-        most_percent=limits[0], most=limits[1], percent=100.0 * share, longest=longest, longest_s=longest_s
+        most_percent=most_percent, most=most, percent=percent, longest=longest, longest_s=longest_s
     )
 
 

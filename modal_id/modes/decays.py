@@ -204,11 +204,9 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
         values = [one for one in _values_of(mode, fitted, main) if one is not None]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
-    words, ends = (
-        (Note.ONE_DECAY if used < 2 else Note.COMBINED),
-        (found.onset.fit_from_s, fitted[main].end_s),
-    )
-    note = Note.SEVERAL_DECAYS(count=len(fitted), used=words(count=used), start_s=ends[0], end_s=ends[1])
+    words = Note.ONE_DECAY if used < 2 else Note.COMBINED
+    start_s, end_s = found.onset.fit_from_s, fitted[main].end_s
+    note = Note.SEVERAL_DECAYS(count=len(fitted), used=words(count=used), start_s=start_s, end_s=end_s)
     return replace(found, modes=tuple(modes), notes=(*found.notes, note))
 
 

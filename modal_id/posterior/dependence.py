@@ -35,24 +35,26 @@ class Tuning:
     #: physics: It contains 99.8 % of the energy of the mode.
     decay_times: float = 3.0
     #: [cycles] the same, at least
+    #: physics: In one cycle, no bin above zero lies below the frequency of the mode.
     least_cycles: float = 2.0
     #: [bins] of 1 / length on either side of the mode
-    #: statistics: The power of seven bins of noise exceeds four times its mean once in a million records.
+    #: statistics: The power of seven bins of noise exceeds four times its mean six times in ten million.
     bins: int = 3
     #: [1] number of such stretches in the record, at least
+    #: statistics: The noise is the median of the later ones, three at least.
     least_stretches: int = 4
+    #: [1] power that the fit leaves at a mode, relative to the noise, above which the fit is not adequate
+    #: statistics: See `bins`.
+    much_left: float = 4.0
+    #: [1] share of the amplitude left at the end above which a dependence of damping on it is only extrapolated
+    little_decay: float = 0.6
 
 
 TUNING = Tuning()
+MUCH_LEFT, LITTLE_DECAY = TUNING.much_left, TUNING.little_decay
 
 # Middles of parts of a record, over its length.
 _PARTS = (np.arange(400) + 0.5) / 400
-
-# Power that the fit leaves at a mode, relative to the noise beside it, above which the fit is not adequate.
-MUCH_LEFT = 4.0
-# Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
-# only be extrapolated.
-LITTLE_DECAY = 0.6
 
 
 def find_dependence(
@@ -67,11 +69,10 @@ def find_dependence(
 
     Significant where the linear form improves the fit by more than chance does in 1 % of records with constant values,
     or where the posterior probability of constant values is below 1 %. `own` is the fit that `amplitude_fit` extends,
-    as from `own_decay`. `repeating_sd` are the standard deviations of
-    frequency (Hz) and damping ratio for errors that repeat with the motion: the curve includes them, and a change of
-    less than three of them is not significant. Where no curve explains the record, and two
-    modes do or the linear form leaves many outliers, the standard deviations include the distances to the constant
-    values.
+    as from `own_decay`. `repeating_sd` are the standard deviations of frequency (Hz) and damping ratio for errors that
+    repeat with the motion: the curve includes them, and a change of less than three of them is not significant. Where
+    no curve explains the record, and two modes do or the linear form leaves many outliers, the standard deviations
+    include the distances to the constant values.
     """
     curve = amplitude_curve(model, index, own)
     varies = False

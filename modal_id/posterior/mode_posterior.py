@@ -104,8 +104,8 @@ def sample_modes(
     for index in np.argsort(-model.energy, kind="stable").tolist():
         if wanted[index]:
             one = found[index] = sample_mode(model, index, settings)
-            bent = isinstance(one, SampledMode) and one.dependence is not None and one.dependence.significant
-            if bent and wanted.size > 1:
+            dependence = one.dependence if isinstance(one, SampledMode) else None
+            if dependence is not None and dependence.significant and wanted.size > 1:
                 model = with_constant_pole(model, index)
     return tuple(found)
 
