@@ -42,4 +42,4 @@ def compile_for_decays() -> None:
 
 def compile_for_division() -> None:
     """Compile what the division of a record into stretches needs."""
-    stretch_costs(np.ones((6, 1), dtype=complex), 0.0, 1.0)
+    stretch_costs(np.ones((6, 1), dtype=complex), 0.0, 1.0, np.int64(1))

@@ -157,19 +157,25 @@ class LineBlocks:
         return np.asarray(np.sqrt(np.max(np.mean(np.abs(self.amplitude) ** 2, axis=2), axis=1)))
 
 
-def shortest_block_s(data: FitData, tones_hz: tuple[float, ...]) -> float:
-    """Length of a block of the fewest cycles or samples."""
+def shortest_block_s(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.0) -> float:
+    """Length of a block of the fewest cycles of the tones from `least_hz` on, or of the fewest samples."""
     rows = max(TUNING.least_rows, 2 * len(tones_hz) + 6)
-    return max(TUNING.cycles / min(tones_hz), rows * data.step_s)
+    return max(TUNING.cycles / min(hz for hz in tones_hz if hz >= least_hz), rows * data.step_s)
 
 
-def line_blocks(data: FitData, tones_hz: tuple[float, ...]) -> LineBlocks:
+def block_count(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.0) -> int:
+    """Number of blocks of a record."""
+    last_s = float(data.time_s[-1]) + data.step_s
+    return min(TUNING.most_blocks, int(last_s / shortest_block_s(data, tones_hz, least_hz)))
+
+
+def line_blocks(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.0) -> LineBlocks:
     """Amplitudes by least squares with a Hann window, beside an offset and its slope.
 
-    The noise is the residual of the median block, with the spectral level beside each line.
+    The noise is the residual of the median block, with the spectral level beside each line. Lines below `least_hz` are
+    fitted and left out: in blocks of a part of their cycle they are a slow motion, and their amplitude is unknown.
     """
-    last_s = float(data.time_s[-1]) + data.step_s
-    blocks = min(TUNING.most_blocks, int(last_s / shortest_block_s(data, tones_hz)))
+    last_s, blocks = float(data.time_s[-1]) + data.step_s, block_count(data, tones_hz, least_hz)
     edges, tones, channels = np.linspace(0.0, last_s, blocks + 1), len(tones_hz), data.values.shape[1]
     amplitude = np.full((blocks, tones, channels), np.nan, dtype=complex)
     gain, square = np.full(amplitude.shape, np.nan), np.full((blocks, channels), np.nan)
@@ -179,12 +185,16 @@ def line_blocks(data: FitData, tones_hz: tuple[float, ...]) -> LineBlocks:
         place = (data.time_s[some] - edges[b]) / (edges[b + 1] - edges[b]) - 0.5
         turn = 2.0 * np.pi * data.time_s[some, None] * np.array(tones_hz)
         columns = np.concatenate([np.cos(turn), -np.sin(turn), np.ones((place.size, 1)), place[:, None]], 1)
+        filters = np.zeros((0, 0))
         for k in range(channels):
             weights = data.weights[some, k]
             if np.count_nonzero(weights) < max(columns.shape[1] + 2, TUNING.complete * usual):
+                filters = np.zeros((0, 0))
                 continue
             window = weights * np.cos(np.pi * place) ** 2
-            beta, filters = _regression(columns, window, data.values[some, k])
+            if not filters.size or not np.array_equal(weights, data.weights[some, k - 1]):
+                filters = _filters(columns, window)
+            beta = filters @ data.values[some, k]
             left = data.values[some, k] - columns @ beta
             of_unit = 1.0 / np.maximum(weights, 1e-300)
             freedom = max(1.0 - columns.shape[1] / np.count_nonzero(weights), 0.1)
@@ -199,16 +209,16 @@ def line_blocks(data: FitData, tones_hz: tuple[float, ...]) -> LineBlocks:
     spectrum = residual_spectrum(data, detrended(data), variance)
     level = np.sqrt([max(spectrum.level_aside(hz), 1.0) for hz in tones_hz])
     with np.errstate(invalid="ignore"):
-        return LineBlocks(edges, amplitude / (gain * np.sqrt(variance) * level[:, None]), excess)
+        scaled = amplitude / (gain * np.sqrt(variance) * level[:, None])
+    return LineBlocks(edges, scaled[:, np.array(tones_hz) >= least_hz], excess)
 
 
-def _regression(columns: FloatArray, window: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of the columns, and the filters that give them; stable where lines are nearly equal."""
+def _filters(columns: FloatArray, window: FloatArray) -> FloatArray:
+    """What gives the coefficients of the columns from the values; stable where lines are nearly equal."""
     gram = columns.T @ (window[:, None] * columns)
     size = np.sqrt(np.diag(gram)) + 1e-300
     scaled = gram / np.outer(size, size) + 1e-9 * np.eye(size.size)
-    filters = np.linalg.solve(scaled, (window[:, None] * columns / size).T) / size[:, None]
-    return filters @ values, filters
+    return np.asarray(np.linalg.solve(scaled, (window[:, None] * columns / size).T) / size[:, None])
 
 
 def _medians(values: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from numba import njit
 
 from modal_id.data import FitData
 from modal_id.segments.change_point import ChangeSearch
-from modal_id.segments.lines import LineBlocks, line_blocks, shortest_block_s
+from modal_id.segments.lines import LineBlocks, block_count, line_blocks, shortest_block_s
 from tracker import BoolArray, ComplexArray, FloatArray
 
 # Gauss-Newton steps of each wave; the pole of a stretch is nearly known from one block less.
@@ -27,7 +27,9 @@ _SINGULAR = 1e-12
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> tuple[FloatArray, FloatArray]:
+def stretch_costs(
+    amplitude: ComplexArray, relative: float, penalty: float, inner: int | np.int64
+) -> tuple[FloatArray, FloatArray]:
     """-2 ln likelihood and penalty of the stretch from each edge to each later one, and its number of waves.
 
     Parameters
@@ -38,6 +40,8 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
         Error of a wave over its amplitude.
     penalty : float
         Cost of each real parameter.
+    inner : int
+        0 for only the stretches from the first edge or to the last one: those of a division into two.
 
     Returns
     -------
@@ -46,16 +50,7 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
     """
     n, k = amplitude.shape
     cost, waves = np.full((n + 1, n + 1), np.inf), np.zeros((n + 1, n + 1))
-    a, power, weight = np.zeros((n, k), dtype=np.complex128), np.zeros(n), np.zeros(n)
-    for b in range(n):
-        own = 0.0
-        for c in range(k):
-            own += _power(amplitude[b, c])
-        if np.isfinite(own):
-            power[b], weight[b] = own, 1.0 / (1.0 + relative**2 * own)
-            # one by one: numba takes 1.4 s to compile the assignment of a row
-            for c in range(k):
-                a[b, c] = amplitude[b, c]
+    a, power, weight = _weighted(amplitude, relative)
     for i in range(n):
         log_variance, energy, count, lag, before = 0.0, 0.0, 0, 0j, 0.0
         for j in range(i + 1, n + 1):
@@ -68,6 +63,8 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
                     for c in range(k):
                         lag += np.conj(a[b - 1, c]) * a[b, c] * weight[b - 1]
                     before += (power[b - 1] - k) * weight[b - 1]
+            if inner == 0 and i > 0 and j < n:
+                continue
             variance = max(energy / max(k * count, 1), 1.0)
             cost[i, j] = 2.0 * k * count * np.log(variance) + 2.0 * energy / variance + penalty
             if count >= 3:
@@ -76,6 +73,23 @@ def stretch_costs(amplitude: ComplexArray, relative: float, penalty: float) -> t
                 if found + log_variance < cost[i, j]:
                     cost[i, j], waves[i, j] = found + log_variance, which
     return cost, waves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _weighted(amplitude: ComplexArray, relative: float) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Amplitudes, power and weight of each block; 0 where unknown."""
+    n, k = amplitude.shape
+    a, power, weight = np.zeros((n, k), dtype=np.complex128), np.zeros(n), np.zeros(n)
+    for b in range(n):
+        own = 0.0
+        for c in range(k):
+            own += _power(amplitude[b, c])
+        if np.isfinite(own):
+            power[b], weight[b] = own, 1.0 / (1.0 + relative**2 * own)
+            # one by one: numba takes 1.4 s to compile the assignment of a row
+            for c in range(k):
+                a[b, c] = amplitude[b, c]
+    return a, power, weight
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -329,14 +343,33 @@ class Change:
 def find_changes(data: FitData, tones_hz: tuple[float, ...], begin_s: float) -> list[Change]:
     """Changes of the motion after a time, in order, each to about two blocks of the fewest cycles.
 
-    `tones_hz` are the strongest lines, the dominant one first. Neighbours with too little between them are one.
+    `tones_hz` are the strongest lines, the dominant one first. Blocks of two cycles of a slow line may hold all cycles
+    of a fast one between two changes: these are looked for in the fast ones alone as well.
     """
-    blocks = line_blocks(data.between(begin_s, float(data.time_s[-1])), tones_hz)
-    least_s = TUNING.apart_cycles / tones_hz[0]
+    part = data.between(begin_s, float(data.time_s[-1]))
+    found: list[Change] = []
+    finest = 0
+    for least_hz in sorted(tones_hz):
+        count = block_count(part, tones_hz, least_hz)
+        if finest >= count:
+            break
+        finest = count
+        closer = _changes(data, line_blocks(part, tones_hz, least_hz), tones_hz, least_hz, begin_s)
+        found = [
+            one for one in found if all(c.high_s < one.low_s or c.low_s > one.high_s for c in closer)
+        ] + closer
+    return sorted(found, key=lambda one: one.low_s)
+
+
+def _changes(
+    data: FitData, blocks: LineBlocks, tones_hz: tuple[float, ...], least_hz: float, begin_s: float
+) -> list[Change]:
+    """Changes of the lines from `least_hz` on; neighbours with too little between them are one."""
+    least_s = TUNING.apart_cycles / max(tones_hz[0], least_hz)
     found: list[Change] = []
     for change in _divided(blocks):
         one = change.later(begin_s)
-        one = one if one.unknown else _refined(data, tones_hz, begin_s, one)
+        one = one if one.unknown else _refined(data, tones_hz, begin_s, one, least_hz)
         if found and one.low_s - found[-1].high_s < least_s:
             last = found.pop()
             one = Change(last.low_s, max(one.high_s, last.high_s), unknown=True)
@@ -400,12 +433,14 @@ def _bursts(blocks: LineBlocks, known: list[Change]) -> list[Change]:
     return found
 
 
-def _refined(data: FitData, tones_hz: tuple[float, ...], begin_s: float, change: Change) -> Change:
+def _refined(
+    data: FitData, tones_hz: tuple[float, ...], begin_s: float, change: Change, least_hz: float = 0.0
+) -> Change:
     """A change between blocks of many cycles, to those of fewer."""
-    shortest_s = shortest_block_s(data, tones_hz)
+    shortest_s = shortest_block_s(data, tones_hz, least_hz)
     while (width_s := change.high_s - change.low_s) > 3.0 * shortest_s:
         low_s = max(begin_s, change.low_s - width_s)
-        blocks = line_blocks(data.between(low_s, change.high_s + width_s), tones_hz)
+        blocks = line_blocks(data.between(low_s, change.high_s + width_s), tones_hz, least_hz)
         if blocks.edges_s.size < 4:
             break
         closer = _of_two(blocks)
@@ -423,19 +458,19 @@ def likeliest_change(data: FitData, tones_hz: tuple[float, ...]) -> Change | Non
 
 def _of_two(blocks: LineBlocks) -> Change:
     """The change between the two stretches of the best division into two."""
-    cost, _ = _total_costs(blocks)
+    cost, _ = _total_costs(blocks, inner=0)
     at = int(np.argmin(cost[0, 1:-1] + cost[1:-1, -1])) + 1
     return Change(*_reach(blocks.edges_s, _seen(blocks), at))
 
 
-def _total_costs(blocks: LineBlocks) -> tuple[FloatArray, BoolArray]:
+def _total_costs(blocks: LineBlocks, inner: int = 1) -> tuple[FloatArray, BoolArray]:
     """Cost of every stretch from one edge to another, shape (b + 1, b + 1), and whether all of it is noise."""
     penalty = float(np.log(max(2.0 * blocks.amplitude[:, 0].size, 2.0)))
     count = blocks.edges_s.size
     total, noise = np.full((count, count), penalty), np.ones((count, count), dtype=bool)
     for tone in range(blocks.amplitude.shape[1]):
         own = np.ascontiguousarray(blocks.amplitude[:, tone])
-        cost, waves = stretch_costs(own, TUNING.relative_error, penalty)
+        cost, waves = stretch_costs(own, TUNING.relative_error, penalty, np.int64(inner))
         total += cost
         noise &= waves == 0.0
     return total, noise

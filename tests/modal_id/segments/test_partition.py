@@ -88,6 +88,24 @@ def test_a_change_between_long_blocks_is_narrowed():
     assert found.low_s - 2.0 / HZ <= 233.3 <= found.high_s + 2.0 / HZ
 
 
+def test_cycles_of_a_fast_line_that_a_block_of_a_slow_one_holds_are_not_lost():
+    """Rest, a release, and 3.5 s later a hand; two cycles of the slow line last 2 s."""
+    t = np.arange(1700) / RATE
+    since, held = np.maximum(t - 6.0, 0.0), np.maximum(t - 9.5, 0.0)
+    y = sum(
+        size
+        * np.exp(-2 * np.pi * hz * (0.003 * (since - held) + 0.06 * held))
+        * np.cos(2 * np.pi * hz * since + 1)
+        for hz, size in ((HZ, 1.0), (0.2 * HZ, 0.3))
+    )
+    found = find_changes(data_of(t, np.where(t < 6.0, 0.0, y), 0.01, 1), (HZ, 0.2 * HZ), 0.0)
+    for at in (6.0, 9.5):
+        # a block of two cycles, and one that noise adds
+        near = [one for one in found if one.low_s - 2.0 / HZ <= at <= one.high_s + 2.0 / HZ]
+        assert near, f"{at} s: {found}"
+        assert all(one.high_s - one.low_s <= 8.0 / HZ for one in near), found
+
+
 @given(log_scale=st.floats(-6, 6), later=st.integers(0, 400))
 @settings(max_examples=8, deadline=None)
 def test_unit_and_what_precedes_do_not_matter(log_scale, later):
@@ -139,7 +157,10 @@ def test_costs_are_those_of_the_least_squares(waves, channels):
     if waves:
         columns = shapes(start)
         a = a + columns @ size[: columns.shape[1]]
-    cost, which = stretch_costs(a, 0.0, penalty)
+    cost, which = stretch_costs(a, 0.0, penalty, 1)
+    outer = stretch_costs(a, 0.0, penalty, 0)[0]
+    assert np.array_equal(outer[0], cost[0])
+    assert np.array_equal(outer[:, n], cost[:, n])
     assert which[0, n] == (1.0 if waves == 1.5 else waves)
     if not waves:
         variance = max(float(np.mean(np.abs(a) ** 2)), 1.0)
