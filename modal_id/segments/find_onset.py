@@ -303,7 +303,7 @@ def stop_of_shaking(
     relative; `variance` is the noise variance of all of them, `place` that of a change that may be the end.
     Times are relative to `data`.
     """
-    change = driven_then_free(data.channels(~base), variance[~base], frequency, place)
+    change = driven_then_free(data.channels(~base), variance[~base], frequency, place, lowest_hz)
     if change is None or change.probability <= TUNING.likely:
         return None
     step, last = data.step_s, float(data.time_s[-1])
