@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data import FitData
+from modal_id.segments.boundary import TUNING as BOUNDARY
 from modal_id.segments.boundary import locate_boundary
 from modal_id.solve import PoleFit, Problem, fit_poles, shortened
 from tracker import BoolArray, FloatArray
@@ -268,15 +269,12 @@ def driven_then_free(
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    time, sd = place.time_s, place.sd_s
     if place.reach_s > 0.0:
-        last = float(data.time_s[-1])
-        limits = max(time - place.reach_s, 0.0), min(time + place.reach_s, last)
-        found = locate_boundary(data, 0.0, limits, last, 1.0 / frequency_hz, lowest_hz)
-        if found is not None and np.isfinite(found.sd_s):
-            # where no motion is known before it, what lies between is not, either
-            gap_s = found.start_s - found.end_s if found.end_s > limits[0] else 0.0
-            time, sd = found.start_s - 0.5 * gap_s, float(np.hypot(found.sd_s, gap_s / np.sqrt(12.0)))
+        found = _located(data, place, 1.0 / frequency_hz, lowest_hz)
+        if found is None:
+            return None
+        place = found
+    time, sd = place.time_s, place.sd_s
     best = _split(thin, time, frequency_hz, variance)
     if best is None:
         return None
@@ -287,6 +285,19 @@ def driven_then_free(
     if not _settled(thin, time, frequency_hz, best.free):
         probability = 0.0
     return DrivenThenFree(time, sd, probability, abs(best.driven.poles[0].imag) / (2.0 * np.pi))
+
+
+def _located(data: FitData, place: ChangeSearch, cycle_s: float, lowest_hz: float) -> ChangeSearch | None:
+    """The time at which the motion changes within the reach of a place; None where it does not."""
+    last, reach_s = float(data.time_s[-1]), BOUNDARY.reach_cycles * cycle_s
+    low, high = max(place.time_s - place.reach_s, 0.0), min(place.time_s + place.reach_s, last)
+    found = locate_boundary(data, 0.0, (low, high), last, cycle_s, lowest_hz)
+    # at the first sample that may be the change, the motion after it explains all of them
+    if found is None or not found.sd_s < reach_s or found.start_s < low - reach_s + 2.0 * data.step_s:
+        return None
+    # where no motion is known before it, what lies between is not, either
+    gap_s = found.start_s - found.end_s if found.end_s > low else 0.0
+    return ChangeSearch(found.start_s - 0.5 * gap_s, float(np.hypot(found.sd_s, gap_s / np.sqrt(12.0))))
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
