@@ -13,6 +13,11 @@ class Tuning:
 
     #: [1] least correlation of the pixels with the model, unless the residual is noise
     least_correlation: float = 0.85
+    #: [1] correlation at the best whole pixel below which a search found nothing
+    #: convention: lower than that of an accepted fit, since what is sought is up to half a pixel and some blur off
+    least_score: float = 0.6
+    #: [px] a lost marker is sought at least this far from its last position
+    reach_px: float = 8.0
     #: [1] multiple of the usual chi-square per degree of freedom up to which a residual is noise
     good_chi2: float = 3.0
     #: [1] chi-square by which the model must improve on a uniform surface

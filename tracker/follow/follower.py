@@ -69,8 +69,6 @@ class Tuning:
     #: [1] of the spacing between markers, by which predictions err where identities are in doubt
     #: physics: half of the distance at which a neighbour is as near
     doubtful: float = 0.25
-    #: [px] search about the last position, at least
-    reach_px: float = 8.0
     #: [1] of the marker's size that is added
     reach_size: float = 0.5
     #: [px] that are added for each frame since it was lost
@@ -98,7 +96,7 @@ class Recovery:
     def nearby(self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray) -> tuple[FloatArray, int]:
         """Search a window that grows with the time since the loss; a failed result when nothing fits."""
         fits, model = self._fits, self._fits.models[k]
-        wider = TUNING.reach_px + TUNING.reach_size * model.detection.size_px
+        wider = ACCEPTANCE.reach_px + TUNING.reach_size * model.detection.size_px
         wider += TUNING.reach_step_px * min(fits.last.lost[k], TUNING.most_steps)
         for centre in (aim, fits.last.states[k, :2]):
             if not np.all(np.isfinite(centre)):

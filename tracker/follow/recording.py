@@ -37,9 +37,6 @@ class Tuning:
     #: [frames] of an array of results
     #: convention: enough that few arrays are needed, few enough that an unfinished one costs little memory
     chunk_rows: int = 1024
-    #: [1] one row in this many of two images is compared
-    #: convention: enough for a mean over the image
-    row_step: int = 4
     #: [1] share of the change of a moving scene below which an image may be repeated
     #: convention: a codec may refine a repeated image
     small: float = 0.3
@@ -132,7 +129,7 @@ class StripKeeper:
 
 def image_change(before: GrayImage, image: GrayImage) -> float:
     """Mean absolute difference of two images of one size and type, in gray levels."""
-    one, other = before[:: TUNING.row_step], image[:: TUNING.row_step]
+    one, other = before[:: source.TUNING.row_step], image[:: source.TUNING.row_step]
     return float(cv2.norm(one, other, cv2.NORM_L1)) / one.size
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, IntArray
 from tracker.checks import Failure, checked
+from tracker.columns import TUNING as COLUMNS
 from tracker.geometry import stamps as ticking
 
 
@@ -49,9 +50,6 @@ class Tuning:
     camera_ticks: float = 1.5
     #: [1] share of the median step by which they may differ at most
     coarse: float = 0.6
-    #: [1] steps that differ by more than this share of their mean are uneven
-    #: physics: the error of a value moved by half a step then is a twothousandth of its change from frame to frame
-    uneven: float = 1e-3
     #: [1] product of frequency and exposure beyond which an amplitude is not corrected
     #: convention: the factor is 0.50 there and falls to zero at 1
     largest_product: float = 0.6
@@ -439,7 +437,7 @@ def to_common_time(
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     steps = np.diff(time_s)
     step = float(np.mean(steps))
-    if float(np.max(np.abs(steps - step))) > TUNING.uneven * step:
+    if float(np.max(np.abs(steps - step))) > COLUMNS.uneven * step:
         velocity = np.gradient(values, time_s, axis=0)
         return values - delay_s * velocity, sd * np.sqrt(1.0 + 0.5 * (delay_s / step) ** 2)
     weights = _lagrange(-delay_s / step)

@@ -40,19 +40,11 @@ class Tuning:
     match_bend_cost: float = 0.05
     #: [px] registration is repeated from the new line where the prediction was off by this much
     largest_miss_px: float = 0.4
-    #: [px] or its blur by this much
-    #: convention: the shortest blur that is modelled (`tracker.line.kernel`)
-    blur_miss_px: float = 0.2
     #: [1] of a registration, at most
     passes: int = 4
-    #: [1] half size of the first search across the predicted line, relative to its windows
+    #: [1] half size of the first search across the predicted line, relative to its windows; the second is four times as
+    #: wide
     near_search: float = 4.0
-    #: [1] the same of the second search
-    #: convention: four times the first
-    wide_search: float = 16.0
-    #: [1] correlation of a match
-    #: convention: the number of the search for markers (`tracker.register.marker`)
-    least_match: float = 0.6
     #: [1] quantile of the scores that is typical of a path
     typical_score: float = 0.95
     #: [px] of width up to which a wider mean is preferred, by its signal-to-noise ratio
@@ -389,7 +381,7 @@ class LineFollower:
             line_kernels.moved(self._line, coefs, fit.smooth, fit.moved)
             coefs = fit.moved
             before, blur = blur, self._blur(coefs)
-            if miss < TUNING.largest_miss_px and np.abs(blur - before).max() < TUNING.blur_miss_px:
+            if miss < TUNING.largest_miss_px and np.abs(blur - before).max() < kernel.LEAST_BLUR_PX:
                 return fit
             states[fit.accepted] = fit.results[fit.accepted, : kernel.STATE]
             states[:, 0] = rest
@@ -403,12 +395,12 @@ class LineFollower:
         coefs, _, first, _ = self._profiles
         profiles = np.stack([spline_values(c, first, across) for c in coefs])
         best = failed
-        for factor in (TUNING.near_search, TUNING.wide_search):
+        for factor in (TUNING.near_search, 4.0 * TUNING.near_search):
             for aim in (failed.coefs, self._past[0]):
                 reach = int(factor * half) + width
                 levels = straightened(image, line.at_stations(aim), reach, 0.5 * line.spacing_px)
                 offsets, score = matched_offsets(levels, profiles, line.spacing_px)
-                found = score >= TUNING.least_match
+                found = score >= ACCEPTANCE.least_score
                 if np.count_nonzero(found) < LEAST_ACCEPTED * self.markers:
                     continue
                 fit = self._register(image, self.moved(aim, line.smoothed(offsets, found)))

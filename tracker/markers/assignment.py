@@ -39,12 +39,9 @@ class Tuning:
     #: [1] the same for a marker that leaves it
     #: convention: one of 7
     leaving: float = 2.0
-    #: [1] largest cost of an unexpected motion (a pluck, a release)
+    #: [1] largest cost of an unexpected motion (a pluck, a release), and of one beyond the range of an oscillation
     #: convention: less than that of two markers that are missing
     unpredicted: float = 16.0
-    #: [1] largest cost of one beyond the range of an oscillation
-    #: convention: as above
-    out_of_range: float = 16.0
     #: [1] by which the best hypothesis must be better than any that contradicts it
     #: statistics: a factor of 400 in probability
     decisive: float = 6.0
@@ -110,7 +107,7 @@ class Expectation:
         if self.range_px is None:
             return cost
         beyond = np.maximum(np.maximum(self.range_px[0] - motion_px, motion_px - self.range_px[1]), 0.0)
-        return cost + min(0.5 * float(beyond @ beyond) / self.range_sd_px**2, TUNING.out_of_range)
+        return cost + min(0.5 * float(beyond @ beyond) / self.range_sd_px**2, TUNING.unpredicted)
 
 
 @dataclass(frozen=True)

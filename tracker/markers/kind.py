@@ -26,10 +26,8 @@ class Tuning:
     tolerance: float = 1e-6
     #: [px] around a marker, within which its contrast is sought
     rim_px: float = 3.0
-    #: [%] of the pixels there that are darker than a marker's dark
-    darkest_percent: float = 10.0
-    #: [%] of the pixels there that are darker than its light
-    lightest_percent: float = 90.0
+    #: [%] of the pixels there that are darker than a marker's dark, and lighter than its light
+    extreme_percent: float = 10.0
 
 
 TUNING = Tuning()
@@ -351,7 +349,7 @@ class MarkerKind(Protocol):
         """Gain and offset for the first fit: from the brightness around the detection unless overridden."""
         half = 0.5 * detection.size_px + TUNING.rim_px
         part, _, _ = part_around(image, detection.x_px, detection.y_px, half, beyond=2)
-        levels = TUNING.darkest_percent, TUNING.lightest_percent
+        levels = TUNING.extreme_percent, 100.0 - TUNING.extreme_percent
         dark, light = np.percentile(part, levels) if part.size else (0.0, 1.0)
         return max(float(light - dark), 1.0), float(dark)
 

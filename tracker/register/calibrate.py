@@ -11,6 +11,7 @@ from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, IdealFit, part_around
 from tracker.register import exposure, kernel
+from tracker.register.calibration_frames import TUNING as FOLLOWED
 from tracker.register.calibration_frames import (
     CalibrationFrames,
     core_of,
@@ -66,13 +67,8 @@ class Tuning:
     large_rim: float = 0.125
     #: [1] the angle is fitted where it raises the sd of the position by less than this factor
     angle_cost: float = 1.3
-    #: [px] shift at which a fit for that comparison fails
-    angle_shift_px: float = 3.0
     #: [1] intervals of brightness in which the residuals' variance is taken
     bins: int = 12
-    #: [frames] of a marker whose residuals are used
-    #: convention: limits time
-    frames: int = 24
     #: [1] chi-square under the first noise model from which a marker's template can be correct
     least_plausible_chi2: float = 0.2
     #: [1] the same, at most
@@ -287,7 +283,7 @@ def _angle_is_determined(frames: CalibrationFrames, model: MarkerModel, learned:
             model.template,
             frames.camera,
             with_angle=with_angle,
-            max_shift_px=TUNING.angle_shift_px,
+            max_shift_px=FOLLOWED.shift_px,
         )
         for with_angle in (False, True)
     ]
@@ -321,7 +317,7 @@ def refined_noise(
         seen = np.flatnonzero(np.all(np.isfinite(sharp_states(model.states, exposure_share)), axis=1))
         paths = paths_px(model.states, exposure_share)
         blurrer = Blurrer(model.template, model.known)
-        for k in seen[:: max(1, seen.size // TUNING.frames)]:
+        for k in seen[:: max(1, seen.size // pixel_noise.TUNING.residual_frames)]:
             state = model.states[k]
             template = blurrer.get(seen_from_marker(paths[k], model.warp, state[2]))
             at, pixel, level = modelled_pixels(
@@ -379,7 +375,7 @@ def calibrate_all(
     """
     frames = CalibrationFrames(images, camera, exposure_share or 0.0)
     models, notes = _calibrate_each(frames, detections)
-    if exposure_share is None and largest_motion_px(models) >= exposure.TUNING.least_motion_px:
+    if exposure_share is None and largest_motion_px(models) >= exposure.LEAST_MOTION_PX:
         frames, models, notes = _with_estimated_exposure(frames, detections, models, notes)
     share = frames.exposure_share
     models = tuple(m if m.detection.kind.has_outline else with_motion_sd(frames, m) for m in models)

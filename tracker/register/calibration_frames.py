@@ -49,9 +49,7 @@ class Tuning:
     #: [px] largest search
     #: convention: limits time
     farthest_px: float = 200.0
-    #: [px] a marker is sought at least this far in each frame since it was found, a large one by its size
-    reach_px: float = 8.0
-    #: [px] from a start, beside the share of the size below, at which a fit fails
+    #: [px] from a start at which a fit fails; the first fit, beside the share of the size below
     shift_px: float = 3.0
     #: [1] share of the marker's size that is added to it
     shift_share: float = 0.25
@@ -91,8 +89,6 @@ class Tuning:
     #: [px] change at the marker's rim that ends the search
     #: convention: far below the tenths of a px by which corners err
     short_px: float = 0.005
-    #: [px] shift at which a fit with a trial shape fails
-    warp_farthest_px: float = 3.0
 
 
 TUNING = Tuning()
@@ -180,7 +176,8 @@ def _confirmed(
     if correlation(result) < ACCEPTANCE.least_correlation and (kind.decodes_shape or not kind.has_outline):
         size_px = model.detection.size_px
         reach = min(
-            0.5 * size_px + max(TUNING.reach_px, size_px) * min(lost, TUNING.most_lost), TUNING.farthest_px
+            0.5 * size_px + max(ACCEPTANCE.reach_px, size_px) * min(lost, TUNING.most_lost),
+            TUNING.farthest_px,
         )
         found = coarse_search(frames.images[k], guess[:2], reach, model.template, model.warp, float(guess[3]))
         if found is not None:
@@ -390,7 +387,7 @@ def _mean_chi2(frames: CalibrationFrames, model: MarkerModel, chosen: IntArray, 
             model.template,
             frames.camera,
             with_angle=True,
-            max_shift_px=TUNING.warp_farthest_px,
+            max_shift_px=TUNING.shift_px,
         )
         total += float(result[kernel.CHI2]) if result[kernel.CONVERGED] > 0.0 else np.inf
     return total / len(chosen)

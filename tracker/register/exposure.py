@@ -18,16 +18,13 @@ from tracker.template import (
     path_length_px,
     seen_from_marker,
 )
+from tracker.template import blur as motion_blur
 
 
 @dataclass(frozen=True)
 class Tuning:
     """When the exposure is estimated from motion blur."""
 
-    #: [px] motion from frame to frame below which the exposure cannot be estimated
-    #: physics: twice the shortest blur that a template includes (`tracker.template.blur`): there an exposure of half
-    #: the frame interval just shows
-    least_motion_px: float = 1.0
     #: [frames] fastest frames of a marker from which it is estimated
     #: convention: limits time
     frames: int = 6
@@ -41,6 +38,9 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+# Motion from frame to frame below which it cannot be estimated: the larger half of the shares is then a modelled blur.
+LEAST_MOTION_PX = 2.0 * motion_blur.TUNING.smallest_px
 
 SHARES = np.linspace(0.0, 1.0, 11)
 
@@ -89,7 +89,7 @@ def _from_marker(frames: CalibrationFrames, model: MarkerModel) -> tuple[float, 
     speed = np.where(np.all(np.isfinite(model.states), axis=1), np.linalg.norm(motion, axis=1), 0.0)
     speed[[0, -1]] = 0.0  # only one neighbour
     fastest = np.argsort(speed)[::-1][: TUNING.frames]
-    fastest = fastest[speed[fastest] >= TUNING.least_motion_px]
+    fastest = fastest[speed[fastest] >= LEAST_MOTION_PX]
     if fastest.size == 0:
         return None
     blurrer = Blurrer(model.template, model.known)

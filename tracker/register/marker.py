@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, part_around
 from tracker.register import kernel
@@ -22,9 +23,6 @@ from tracker.template import NoiseModel, Template
 class Tuning:
     """Search for a marker, and when its surroundings are too white to register."""
 
-    #: [1] normalised correlation at the best whole pixel below which nothing was found
-    #: convention: lower than that of an accepted fit, since the marker is up to half a pixel and some blur off
-    least_score: float = 0.6
     #: [1] share of the pixels at the white level below which edges are seen
     many_white: float = 0.1
     #: [1] range of the other gray levels, relative to white, above which an edge is seen
@@ -152,7 +150,7 @@ def coarse_search(
     score = cv2.matchTemplate(part, signed, cv2.TM_CCOEFF_NORMED, mask=support.astype(np.float32))
     score[~np.isfinite(score)] = -1.0
     best = np.unravel_index(int(np.argmax(score)), score.shape)
-    if score[best] < TUNING.least_score:
+    if score[best] < ACCEPTANCE.least_score:
         return None
     return np.array([left + best[1] + half, top + best[0] + half], dtype=np.float64)
 

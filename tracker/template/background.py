@@ -19,9 +19,6 @@ class Tuning:
 
     #: [px] side of the neighbourhood whose share of the motion is determined
     side_px: float = 3.0
-    #: [px] the same where the share is uncertain
-    #: convention: three times the other
-    wide_side_px: float = 9.0
     #: [1] a share is used if its sd is below this
     largest_sd: float = 0.2
     #: [1] points are left out whose share differs from the object's by this, relative to it
@@ -94,7 +91,7 @@ def motion_shares(
         for total, part in zip(sums, parts, strict=True):
             np.add.at(total, at, part)
     share, sd = np.ones(shape), np.full(shape, np.inf)
-    for side in (TUNING.side_px, TUNING.wide_side_px):
+    for side in (TUNING.side_px, 3.0 * TUNING.side_px):  # wider where the share is uncertain
         size = 2 * int(0.5 * side * ov) + 1
         product, square, rest, count = (ndimage.uniform_filter(s, size, mode="constant") for s in sums)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,7 +16,7 @@ from tracker.template.spline import Template, crop_to_support, quadrature
 class Tuning:
     """Motion blur: when it is modelled, and how finely."""
 
-    #: [px] shorter motion during the exposure is not modelled
+    #: [px] shorter motion during the exposure is not modelled; step of the lengths in the bank of a first position
     #: physics: it changes the image less than the blur of lens and pixel does
     smallest_px: float = 0.5
     #: [nodes] of the quadrature along a path, at least
@@ -24,9 +24,6 @@ class Tuning:
     #: [nodes/px] that are added for each px of the path
     #: convention: closer than the pixels
     nodes_a_px: float = 2.0
-    #: [px] step of the lengths in the bank of templates for a first position
-    #: convention: as the shortest blur that is modelled; a first position is fitted again along its path
-    step_px: float = 0.5
     #: [1] directions in that bank
     #: convention: steps of 7.5 degrees; a first position is fitted again along its path
     directions: int = 24
@@ -199,14 +196,14 @@ class BlurBank:
     def get(self, motion_uv: FloatArray) -> Template:
         """Template for a straight motion during the exposure, a vector in px of the marker's frame."""
         length = float(np.hypot(motion_uv[0], motion_uv[1]))
-        steps = round(min(length, TUNING.longest_px) / TUNING.step_px) if np.isfinite(length) else 0
+        steps = round(min(length, TUNING.longest_px) / TUNING.smallest_px) if np.isfinite(length) else 0
         if length < TUNING.smallest_px or steps == 0:
             return self._still
         angle = np.arctan2(motion_uv[1], motion_uv[0]) % np.pi
         key = (steps, round(angle / np.pi * TUNING.directions) % TUNING.directions)
         if key not in self._made:
             direction = np.pi * key[1] / TUNING.directions
-            vector = steps * TUNING.step_px * np.array([np.cos(direction), np.sin(direction)])
+            vector = steps * TUNING.smallest_px * np.array([np.cos(direction), np.sin(direction)])
             self._made[key] = self._exact.get(np.stack([vector, np.zeros(2)]))
         return self._made[key]
 

@@ -46,7 +46,7 @@ class Tuning:
     #: [gray levels^2] with which clipping begins, at least
     #: convention: differences of rounded pixels can all be 0
     least_variance: float = 0.25
-    #: [frames] of compressed footage whose residuals are used
+    #: [frames] of a marker, or of a line in compressed footage, whose residuals are used
     #: convention: limits time
     residual_frames: int = 24
     #: [px] up to which the residuals' correlation is summed

@@ -28,6 +28,9 @@ class Tuning:
     #: [bytes] by which a format is recognised
     #: convention: more than the marks of all formats that are told apart
     head_bytes: int = 512
+    #: [1] one row in this many of an image is compared with another image
+    #: convention: enough for a mean over the image or over a block
+    row_step: int = 4
 
 
 TUNING = Tuning()

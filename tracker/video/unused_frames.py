@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, GrayImage
+from tracker.video.source import TUNING as SOURCE
 from tracker.video.source import Frame, SourceInfo
 
 
@@ -26,9 +27,6 @@ from tracker.video.source import Frame, SourceInfo
 class Tuning:
     """Blocks that depart for a single picture."""
 
-    #: [1] one row in this many is used for the means
-    #: convention: enough for a mean over a block
-    row_step: int = 4
     #: [1] multiple of its largest recent step by which the mean of a block departs
     factor: float = 4.0
     #: [1] and share of white
@@ -208,7 +206,7 @@ def block_means(image: GrayImage) -> Means:
     import cv2  # noqa: PLC0415 - slow to load, and a run that is up to date decodes nothing
 
     rows, cols = (max(size // BLOCK_PX, 1) for size in image.shape)
-    part = image[: rows * BLOCK_PX : TUNING.row_step, : cols * BLOCK_PX]
+    part = image[: rows * BLOCK_PX : SOURCE.row_step, : cols * BLOCK_PX]
     return np.asarray(cv2.resize(part, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
