@@ -33,12 +33,7 @@ class Failure:
 
 
 def checked(
-    name: str,
-    value: float,
-    *,
-    positive: bool = False,
-    at_least: float = -math.inf,
-    at_most: float = math.inf,
+    name: str, value: float, *, positive: bool = False, at_least: float = -math.inf, at_most: float = math.inf
 ) -> float:
     """The value, which a caller gave for `name`.
 

@@ -21,9 +21,6 @@ class Tuning:
     #: [1] Newton iterations of one load step before it counts as failed
     #: convention: Load steps that converge take 3 to 15, the latter bent to a full circle; the rest is reserve.
     iterations: int = 40
-    #: [1] the same where the equilibria of a family of beams begin at that of the standard one
-    #: convention: Chosen; the error squares from one iteration to the next.
-    family_iterations: int = 30
     #: [1] vertical component of the axis above which an inclined beam counts as standing, in messages
     #: convention: Within 0.8 degrees of upright an instability is reported as buckling.
     upright: float = 0.9999
@@ -42,12 +39,12 @@ class Tuning:
     #: [lengths] largest increment at convergence
     #: physics: Four decades above rounding, far below what a measurement resolves.
     settled: float = 1e-12
-    #: [lengths] largest increment at which one that no longer halves is attributed to rounding
-    #: physics: A hundred times the other: rounding of EA times the strain may keep a bent slender beam from it. Chosen.
-    stalled: float = 1e-10
 
 
 TUNING = Tuning()
+
+# Lengths: an increment that no longer halves is attributed to rounding, which EA multiplies in a bent slender beam.
+STALLED = 100.0 * TUNING.settled
 
 
 class NoEquilibriumError(ArithmeticError):
@@ -146,7 +143,7 @@ def _newton(
         ):
             return None
         q += delta
-        if size < TUNING.settled * length or (size < TUNING.stalled * length and size > 0.5 * previous):
+        if size < TUNING.settled * length or (size < STALLED * length and size > 0.5 * previous):
             return q
         previous = size
     return None

@@ -27,14 +27,7 @@ from sim.comparison.problem import (
     with_corrected_start,
 )
 from sim.comparison.results import DecayComparison, ModelDecay
-from sim.comparison.scores import (
-    Prediction,
-    Samples,
-    crps,
-    log_density,
-    score_difference,
-    score_sum,
-)
+from sim.comparison.scores import Prediction, Samples, crps, log_density, score_difference, score_sum
 from sim.damping import AIR_DRAG
 from sim.dynamics import fitted_modes
 from tracker import INTERVAL_SD, Failure, FloatArray

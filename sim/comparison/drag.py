@@ -24,7 +24,9 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from modal_id.data import bandwidth_hz
 from sim.beam import BeamModes
+from sim.comparison.problem import TUNING as PROBLEM
 from sim.comparison.problem import DecaySetting
 from sim.comparison.scores import correlated_square
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
@@ -36,9 +38,6 @@ from tracker import INTERVAL_SD, Failure, FloatArray
 class Tuning:
     """When drag is fitted, and the convergence of its fit."""
 
-    #: [sd] slope of the damping ratio over its sd from which drag is fitted by simulation
-    #: statistics: 0.13 % of decays without drag exceed it; smaller slopes also result from large rotation.
-    shows: float = 3.0
     #: [sd] fitted coefficient over its sd below which only a limit is given
     #: statistics: A limit for 2.3 % of coefficients that are 0.
     sure: float = 2.0
@@ -59,12 +58,9 @@ class Tuning:
     #: [1] the same where no shorter step is better: above it the fit has failed
     #: statistics: Moves no parameter by more than its sd.
     stuck: float = 1.0
-    #: [1] finite difference, over amplitude, damping ratio and coefficient
+    #: [1] finite difference, over amplitude, damping ratio and coefficient, and in rad of the phase at the end
     #: convention: Between the errors of the step (1e-7) and the curvature; chosen.
     step: float = 3e-3
-    #: [rad] finite difference of the phase at the end of the record
-    #: convention: As the other.
-    phase_step: float = 3e-3
     #: [1] damping ratio and coefficient below which a finite difference is not scaled down
     #: convention: Chosen: far below any measured ratio.
     smallest_ratio: float = 1e-6
@@ -74,12 +70,6 @@ class Tuning:
     #: [1] the first fit ends where the amplitude has fallen to this share
     #: convention: Before the phase can slip by a period where the first frequency is off; chosen.
     early_share: float = 0.3
-    #: [1] largest frequency of the baseline, over the mode's
-    #: physics: Below 0.5 a spline cannot follow the mode.
-    slow_share: float = 0.4
-    #: [Hz] largest frequency of the baseline
-    #: convention: Drift of lighting, mount and temperature is slower; chosen.
-    slow_hz: float = 1.0
 
 
 TUNING = Tuning()
@@ -191,7 +181,7 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
     if air.drag_coefficient is None:
         if amplitude_fit is None:
             return DragLimit("the dependence of the damping ratio on the amplitude could not be determined")
-        if averaged < TUNING.shows * averaged_sd:
+        if averaged < PROBLEM.changes * averaged_sd:
             reason = "the damping ratio does not increase significantly with the amplitude"
             return DragLimit(reason, drag_coefficient_q95=_upper(averaged, averaged_sd))
     problem = _Problem(setting, air, noise_sd_mm, _nuisance(setting))
@@ -293,7 +283,7 @@ class _Problem:
 
     def _steps(self, parameters: FloatArray) -> FloatArray:
         size = TUNING.step * abs(complex(parameters[0], parameters[1]))
-        angular = TUNING.phase_step / max(float(self.setting.time_s[-1]), 1e-9)
+        angular = TUNING.step / max(float(self.setting.time_s[-1]), 1e-9)
         return np.array(
             [size, size, angular, *(TUNING.step * np.maximum(parameters[3:], TUNING.smallest_ratio))]
         )
@@ -341,7 +331,7 @@ class _Problem:
 def slow_columns(setting: DecaySetting) -> FloatArray:
     """Cubic B-splines for an offset and a drift slower than the mode, shape (n, p)."""
     t = setting.time_s
-    spacing_s = 0.5 / min(TUNING.slow_share * abs(setting.exponent) / (2.0 * np.pi), TUNING.slow_hz)
+    spacing_s = 0.5 / bandwidth_hz(abs(setting.exponent) / (2.0 * np.pi))
     inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
     knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
     return np.asarray(scipy.interpolate.BSpline.design_matrix(t, knots, 3).toarray())

@@ -45,8 +45,8 @@ class Tuning:
     #: physics: 10 mm of 500: the tip of mode 1 turns by 1.4 times that, 0.03 rad, and its cosine differs from 1 by
     #: 4e-4.
     large_motion: float = 0.02
-    #: [sd] slope of the damping ratio above which the damping varies with amplitude
-    #: statistics: 0.27 % of decays with constant damping exceed it.
+    #: [sd] slope of the damping ratio above which the damping varies with amplitude, and drag is fitted by simulation
+    #: statistics: 0.27 % of decays with constant damping exceed it; smaller slopes also result from large rotation.
     changes: float = 3.0
     #: [1] relative distance in frequency within which a mode without a number matches one of the beam
     #: physics: Covers errors of thickness of 15 %; modes 1 to 5 of a cantilever lie a factor of 1.65 or more apart.

@@ -43,15 +43,12 @@ if TYPE_CHECKING:
 class Tuning:
     """Convergence of initial states."""
 
-    #: [1] iterations on the loads of a state with given modal coordinates; beyond: no equilibrium
+    #: [1] iterations on the loads of a state with given modal coordinates or tip; beyond: no equilibrium
     #: convention: 2 to 8, the latter at 350 mm of a beam of 500 mm; the rest is reserve.
-    rounds: int = 30
+    rounds: int = 60
     #: [1] error of a modal coordinate at convergence, over the largest
     #: physics: A hundredth of the accuracy of a simulated decay, 1e-7.
     coordinate_error: float = 1e-9
-    #: [1] iterations on the load that displaces the tip; beyond: it cannot be displaced that far
-    #: convention: 2 to 6, the latter at 350 mm of a beam of 500 mm; the rest is reserve.
-    release_rounds: int = 60
     #: [lengths] error of the tip's displacement at convergence
     #: physics: Statics is accurate to 1e-12 lengths with 20 elements, and less accurate with more.
     tip_error: float = 1e-10
@@ -153,7 +150,7 @@ def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displ
     rest = beam.transverse_at(tip, modes.equilibrium)[0]
     coordinate = tip_displacement_m / modes.transverse_at(tip)[0, mode_number - 1]
     q = modes.equilibrium
-    for _ in range(TUNING.release_rounds):
+    for _ in range(TUNING.rounds):
         q = static_equilibrium(beam, coordinate * load, start=q)
         miss = tip_displacement_m - (beam.transverse_at(tip, q)[0] - rest)
         if abs(miss) < TUNING.tip_error * beam.properties.length_m:

@@ -377,12 +377,7 @@ def fitted_modes(beam: AncfBeam, least: int = 1) -> BeamModes:
 
 
 def checked_steps(
-    beam: AncfBeam,
-    state: State,
-    duration_s: float,
-    step_s: float,
-    output_every: int,
-    base: BaseMotion | None,
+    beam: AncfBeam, state: State, duration_s: float, step_s: float, output_every: int, base: BaseMotion | None
 ) -> int:
     """Number of steps, after a check that the arguments match."""
     checked("step_s", step_s, positive=True)

@@ -243,12 +243,7 @@ class Texture:
         return self.grain_mm / TUNING.grain_samples
 
     def on_grid(
-        self,
-        x_mm: FloatArray,
-        y_mm: FloatArray,
-        *,
-        box_mm: float = 0.0,
-        blur_mm: float = 0.0,
+        self, x_mm: FloatArray, y_mm: FloatArray, *, box_mm: float = 0.0, blur_mm: float = 0.0
     ) -> FloatArray:
         """Counts at all pairs of `x_mm`, (c,), and `y_mm`, (r,), shape (r, c).
 

@@ -335,10 +335,7 @@ def cantilever_slope(number: int, arc: FloatArray) -> FloatArray:
 
 
 def decaying_cantilever(
-    length_mm: float,
-    modes: tuple[DecayingMode, ...],
-    *,
-    direction_rad: float = -0.5 * np.pi,
+    length_mm: float, modes: tuple[DecayingMode, ...], *, direction_rad: float = -0.5 * np.pi
 ) -> BendingLine:
     """Free decay of a clamped strip in some modes, from any direction, straight at rest."""
 

@@ -182,11 +182,7 @@ class PointMassPosterior:
 
 
 def find_point_mass(
-    properties: BeamProperties,
-    measured: MeasuredModes,
-    *,
-    prior: SmoothPrior = DEFAULT_PRIOR,
-    seed: int = 0,
+    properties: BeamProperties, measured: MeasuredModes, *, prior: SmoothPrior = DEFAULT_PRIOR, seed: int = 0
 ) -> PointMassPosterior:
     """Posterior of a point mass that `properties` lacks; its known point masses are kept.
 
@@ -318,11 +314,7 @@ class ClampPosterior:
 
 
 def find_clamp(
-    properties: BeamProperties,
-    measured: MeasuredModes,
-    *,
-    prior: SmoothPrior = DEFAULT_PRIOR,
-    seed: int = 0,
+    properties: BeamProperties, measured: MeasuredModes, *, prior: SmoothPrior = DEFAULT_PRIOR, seed: int = 0
 ) -> ClampPosterior:
     """Posterior of the clamp of `properties` at its first end, in place of the one that it has.
 

@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from sim.beam import BeamProperties
 from sim.updating.least_squares import Misfit, uniform_basis
+from sim.updating.measured_modes import TUNING as MEASURED
 from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import DEFAULT_PRIOR, SmoothPrior, draw, maximum, whiten
 from tracker import FloatArray
@@ -30,10 +31,7 @@ class Tuning:
     #: [1] largest discrepancy between model and beam, a relative sd of the frequencies
     #: convention: Chosen: a beam with more is another beam.
     largest: float = 0.1
-    #: [1] smallest discrepancy
-    #: convention: The stated error of the model (model_sd).
-    smallest: float = 1e-4
-    #: [1] discrepancies, equally spaced in their logarithm
+    #: [1] discrepancies from it down to the stated error of the model, equally spaced in their logarithm
     #: convention: Two a decade; chosen: the evidence changes slowly with the discrepancy.
     grid: int = 7
     #: [1] draws that check Laplace's approximation at the likely discrepancy
@@ -119,11 +117,7 @@ class ModelComparison:
 
 
 def compare_models(
-    properties: BeamProperties,
-    measured: MeasuredModes,
-    *,
-    prior: SmoothPrior = DEFAULT_PRIOR,
-    seed: int = 0,
+    properties: BeamProperties, measured: MeasuredModes, *, prior: SmoothPrior = DEFAULT_PRIOR, seed: int = 0
 ) -> ModelComparison:
     """Marginal likelihoods of uniform, linearly tapering and smooth beams, with gravity (if there is any) and without.
 
@@ -156,7 +150,7 @@ def _evidence(
     name: str, beam: BeamProperties, measured: MeasuredModes, basis: FloatArray, seed: int
 ) -> ModelEvidence:
     z, laplace, tops = np.zeros(basis.shape[1]), [], []
-    powers = np.linspace(np.log10(TUNING.largest), np.log10(TUNING.smallest), TUNING.grid)
+    powers = np.linspace(np.log10(TUNING.largest), np.log10(MEASURED.model_sd), TUNING.grid)
     discrepancies = tuple(float(10.0**power) for power in powers)
     misfits = [Misfit.of(beam, replace(measured, model_sd=sd)) for sd in discrepancies]
     for misfit in misfits:

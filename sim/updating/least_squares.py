@@ -28,13 +28,13 @@ class Tuning:
     #: [sd per bound] weight of the distance from the start against the misfits
     #: physics: Determines only what the data do not; it shifts the frequencies by less than 1e-7.
     pull: float = 0.01
-    #: [1] Gauss-Newton iterations
-    iterations: int = 40
+    #: [1] Gauss-Newton iterations, here and to the maximum of a posterior
+    iterations: int = 60
     #: [1] share of a step below which it is not halved again: the point counts as the solution
-    #: convention: Nine halvings; chosen.
-    smallest_share: float = 1e-3
-    #: [1] largest change of a factor at convergence
-    #: physics: A hundredth of model_sd.
+    #: convention: Thirteen halvings; chosen.
+    smallest_share: float = 1e-4
+    #: [1] largest change of a factor at convergence; of a number of the posterior, in sd of its prior
+    #: physics: A hundredth of model_sd. The error of a log evidence is its square times the precision of the data, 1e6.
     settled: float = 1e-6
     #: [1] largest bound that the linear programs may reach; beyond, there is none
     #: physics: A factor below 0.1 has no meaning.
@@ -65,9 +65,6 @@ class Tuning:
     price_growth: float = 5.0
     #: [1] penalties tried before no bound is found
     prices: int = 3
-    #: [1] distance of a factor from its bound at which it is listed as at the bound
-    #: physics: The accuracy of the factors at convergence.
-    at_bound: float = 1e-6
     #: [1] further random starts, whose scatter shows what the data leave open
     #: convention: Limits the computing time: each costs as much as the update.
     other_starts: int = 4
@@ -348,7 +345,7 @@ def variable_names(elements: int) -> tuple[str, ...]:
 
 
 def _names_at_bound(p: FloatArray, bound: float) -> tuple[str, ...]:
-    at = np.abs(np.abs(p - 1.0) - bound) < TUNING.at_bound
+    at = np.abs(np.abs(p - 1.0) - bound) < TUNING.settled
     names = variable_names((p.size - 2) // 2)
     return tuple(f"{names[i]} ({100 * (p[i] - 1.0):+.0f} %)" for i in np.flatnonzero(at))
 

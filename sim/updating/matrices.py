@@ -241,12 +241,10 @@ class BeamMatrices:
             return q
         free = self.free(self.static)
         scale = self.scale(self.static)
-        small, stalled = (
-            x * self.standard.length_m for x in (statics.TUNING.settled, statics.TUNING.stalled)
-        )
+        small, stalled = (x * self.standard.length_m for x in (statics.TUNING.settled, statics.STALLED))
         previous = np.full(bend.shape[0], np.inf)
         done = np.zeros(bend.shape[0], dtype=np.bool_)
-        for _ in range(statics.TUNING.family_iterations):
+        for _ in range(statics.TUNING.iterations):
             todo = np.flatnonzero(~done)
             parts = bend[todo], axial[todo], springs[todo]
             tangent = self._stiffness(*parts, q[todo], self.static)

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from sim.beam import BeamProperties
 from sim.updating.family import BeamFamily
+from sim.updating.least_squares import TUNING as STEPS
 from sim.updating.least_squares import Misfit, uniform_basis
 from sim.updating.measured_modes import MeasuredModes
 from tracker import INTERVAL_LEVEL, FloatArray, checked
@@ -46,16 +47,8 @@ Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True)
 class Tuning:
-    """Convergence of the maximum, draws of the posterior, and what counts as determined."""
+    """Draws of the posterior, and what counts as determined."""
 
-    #: [1] Gauss-Newton iterations to the maximum
-    iterations: int = 60
-    #: [1] share of a Gauss-Newton step below which it is not halved again: the point counts as the maximum
-    #: convention: Thirteen halvings; chosen.
-    smallest_share: float = 1e-4
-    #: [prior sd] largest move at the maximum
-    #: physics: The error of the log evidence is the square of this times the precision of the data, 1e6: 1e-6.
-    settled: float = 1e-6
     #: [1] Newton iterations for one draw; beyond, it has no solution and no weight
     draw_iterations: int = 25
     #: [sd of the draw] error of the equations at which the iteration of a draw ends
@@ -66,16 +59,13 @@ class Tuning:
     #: [1] prior variance of a direction, over the largest, below which it is left out
     #: measurement: Left-out directions change no frequency by 1e-6.
     negligible: float = 1e-8
-    #: [1] posterior draws where no number is given
+    #: [1] posterior draws where no number is given, and draws of the prior
     #: statistics: The 5 % quantile of 400 draws has the standard error sqrt(0.05 x 0.95 / 400) = 1.1 % of probability.
     draws: int = 400
     #: [1] effective share of the weighted draws below which intervals are called unreliable
     #: statistics: 40 effective of 400 draws: a 90 % interval is uncertain by a fifth of its half width; usual are 90 to
     #: 99 %.
     fewest_share: float = 0.1
-    #: [1] draws of the prior, for the prior sd of the frequencies
-    #: statistics: The sd of a normal sample of 400 is known to 1 / sqrt(800) = 3.5 %.
-    prior_draws: int = 400
     #: [1] share of the prior variance that the data remove above which a direction counts as determined
     #: convention: The data then say more than the prior.
     determined: float = 0.5
@@ -156,11 +146,11 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
     """Maximum of the posterior, by Gauss-Newton with step halving from `start`, shape (k,)."""
     z, size = start, start.size
     g, slopes = _one(misfits, z)
-    for _ in range(TUNING.iterations):
+    for _ in range(STEPS.iterations):
         rows = np.vstack([slopes, np.eye(size)])
         move = np.linalg.lstsq(rows, -np.concatenate([g, z]), rcond=None)[0]
         share = 1.0
-        while share > TUNING.smallest_share:
+        while share > STEPS.smallest_share:
             trial = z + share * move
             then, then_slopes = _one(misfits, trial)
             # NaN, of a beam that buckles, is never better
@@ -170,7 +160,7 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
         else:
             return Maximum(z, g, slopes)
         z, g, slopes = trial, then, then_slopes
-        if np.max(np.abs(share * move)) < TUNING.settled:
+        if np.max(np.abs(share * move)) < STEPS.settled:
             return Maximum(z, g, slopes)
     return Maximum(z, g, slopes)
 
@@ -383,7 +373,7 @@ def update_bayesian(
         raise UndecidedError(msg)
     z = drawn.z[drawn.equal(rng)]
     count = min(measured.highest + TUNING.more_modes if modes is None else modes, 2 * properties.elements)
-    before = rng.standard_normal((TUNING.prior_draws, basis.shape[1])) @ basis.T
+    before = rng.standard_normal((TUNING.draws, basis.shape[1])) @ basis.T
     log_factor, factors = basis @ top.z, z @ basis.T
     predicted = BeamFamily(properties, count)
     squares = top.singular_values**2

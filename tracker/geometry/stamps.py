@@ -39,9 +39,6 @@ class Tuning:
     #: [1] share of a step by which single steps of evenly spaced frames may differ
     #: convention: a missing frame makes a step of twice the mean
     even_step: float = 0.4
-    #: [1] share of a step by which evenly spaced frames may be off their places
-    #: physics: half a step is the next frame
-    even_place: float = 0.5
     #: [1] the same in long records, for each frame
     even_drift: float = 1e-3
 
@@ -137,7 +134,8 @@ def evenly_spaced(ticks: IntArray) -> bool:
     off = np.abs(ticks - ticks[0] - mean * np.arange(ticks.size))
     return bool(
         np.all(np.abs(steps - mean) < TUNING.even_step * mean)
-        and np.all(off < mean * max(TUNING.even_place, TUNING.even_drift * steps.size))
+        # half a step from its place is the next frame
+        and np.all(off < mean * max(0.5, TUNING.even_drift * steps.size))
     )
 
 

@@ -156,11 +156,7 @@ def given_rate(
 
 
 def _with_gaps(
-    ticks: IntArray,
-    time_base: Fraction | None,
-    counts: IntArray | None,
-    fps: Fraction,
-    plain: FrameTimes,
+    ticks: IntArray, time_base: Fraction | None, counts: IntArray | None, fps: Fraction, plain: FrameTimes
 ) -> FrameTimes | Failure:
     """The evenly spaced times of `plain`, with gaps where the stamps show missing frames (`counts` if known)."""
     steps: IntArray = np.diff(ticks)

@@ -315,11 +315,7 @@ def _learned(
     chi2 = np.ones(model.line.stations)
     chi2[seen] = np.maximum(np.nanmedian(results[:, seen, kernel.CHI2], axis=0), 1.0)
     learned = replace(
-        learned,
-        start=start,
-        typical_chi2=chi2,
-        largest_step_px=largest_step_px,
-        background=background,
+        learned, start=start, typical_chi2=chi2, largest_step_px=largest_step_px, background=background
     )
     return learned, float(np.nanmedian(results[:, :, kernel.SD]))
 

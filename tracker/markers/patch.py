@@ -155,11 +155,7 @@ class PatchKind(MarkerKind):
         if not settings.points_px:
             return None
         return PatchDetector(
-            settings.points_px,
-            settings.positions_mm,
-            settings.size_px,
-            settings.patch_shape,
-            settings.names,
+            settings.points_px, settings.positions_mm, settings.size_px, settings.patch_shape, settings.names
         )
 
     def missing_setting(self, settings: DetectionSettings) -> str | None:

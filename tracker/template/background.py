@@ -37,9 +37,6 @@ class Tuning:
     least_left: float = 0.1
     #: [1] neighbourhoods beyond which errors are common, as those of the sampling of an edge
     most_independent: float = 16.0
-    #: [1] share of the motion that separates object and background at first
-    #: physics: midway between rest and the fitted motion
-    moves: float = 0.5
 
 
 TUNING = Tuning()
@@ -127,14 +124,15 @@ def object_motion(
     """Object in a window: what moves as the middle of the window does; the whole window if that is not determined."""
     inside = window > 0
     known = inside & (shares.sd < TUNING.largest_sd)
-    middle = known & core & (shares.share > TUNING.moves)
+    # midway between rest and the fitted motion
+    middle = known & core & (shares.share > 0.5)
     if not np.any(middle):
         return ObjectMotion(window, 1.0, np.inf)
     share = _median(shares, middle)
     off = np.abs(shares.share - share)
     other = inside & (off > TUNING.differs * share) & (off > TUNING.surely * shares.sd)
     kept = inside & ~other
-    resting = other & (shares.share < TUNING.moves * share)
+    resting = other & (shares.share < 0.5 * share)
     if np.any(resting):
         inner = kept & (ndimage.distance_transform_edt(~resting) > TUNING.edge_px * oversampling)
         if shares.information[inner].sum() > TUNING.least_information * shares.information[kept].sum():
