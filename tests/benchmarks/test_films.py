@@ -1,10 +1,11 @@
-"""Intervals on a few rendered, encoded and tracked films; docs/studies/films.md has the table of many."""
+"""Intervals on a few rendered, encoded and tracked films (docs/studies/films.md has many), and on a moving camera."""
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import chi2, norm
 
+from benchmarks.camera_motion import CameraCase
 from benchmarks.film_scenes import Film
 from benchmarks.films import row, run_film, table, tracked
 from tracker import displacement_series
@@ -90,3 +91,10 @@ def test_a_marker_that_is_at_full_speed_in_its_first_frames_is_followed(kind, am
     worst = np.nanmax(np.abs(errors) / sd)
     assert worst < 5.0, f"a position is off by {worst:.1f} sd"
     assert np.nanmedian(sd) < 2.0 * np.sqrt(np.nanmean(errors**2)), "sd is far above the error"
+
+
+def test_displacements_beside_a_drifting_camera_are_along_the_vibration():
+    series = displacement_series(CameraCase(drift_px=8.0).tracks())
+    assert series.direction == pytest.approx((1.0, 0.0), abs=1e-3)
+    assert any("motion of the camera" in note for note in series.notes)
+    assert not any("camera" in note for note in displacement_series(CameraCase().tracks()).notes)

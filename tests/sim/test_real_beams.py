@@ -1,14 +1,12 @@
 """Effects of real test set-ups: elastic clamps, attached masses, inclination, air drag, base motion."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support.exact_curvature import ExactCurvatureBeam
-from support.paths import REALDATA, REALDATA_ABSENT, ROOT
+from support.paths import REALDATA, REALDATA_ABSENT, ROOT, script
 
 from sim import paper_beam
 from sim.beam import (
@@ -265,11 +263,7 @@ CANTILEVER_DATA = REALDATA / "al_cantilever"
 
 @pytest.fixture(scope="module")
 def cantilever():
-    spec = importlib.util.spec_from_file_location("cantilever", CANTILEVER_PAGE.with_suffix(".py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["cantilever"] = module
-    spec.loader.exec_module(module)
-    return module
+    return script(CANTILEVER_PAGE.with_suffix(".py"))
 
 
 @pytest.fixture(scope="module")

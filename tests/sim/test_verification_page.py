@@ -1,22 +1,16 @@
 """The values in docs/studies/verification.md match the computed ones."""
 
-import importlib.util
 import re
-import sys
 
 import pytest
-from support.paths import ROOT
+from support.paths import ROOT, script
 
 PAGE = ROOT / "docs" / "studies" / "verification.md"
 
 
 @pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("verification", PAGE.with_suffix(".py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["verification"] = module
-    spec.loader.exec_module(module)
-    return module
+def study():
+    return script(PAGE.with_suffix(".py"))
 
 
 @pytest.mark.parametrize(
@@ -29,9 +23,9 @@ def script():
         pytest.param("large_motion", marks=pytest.mark.slow),
     ],
 )
-def test_page_prints_the_computed_values(script, part):
+def test_page_prints_the_computed_values(study, part):
     text = PAGE.read_text(encoding="utf-8")
-    for figure in getattr(script, part)():
+    for figure in getattr(study, part)():
         row = re.search(rf"^\| {re.escape(figure.name)} \| (\S+) \| (\S*) \|$", text, re.MULTILINE)
         assert row, f"the page has no row {figure.name!r}; run python docs/studies/verification.py"
         printed = float(row[1])
@@ -42,7 +36,7 @@ def test_page_prints_the_computed_values(script, part):
             assert figure.value <= figure.bound, f"{figure.name}: {figure.value:.3g} exceeds {figure.bound}"
 
 
-def test_page_has_only_computed_rows(script):
+def test_page_has_only_computed_rows(study):
     text = PAGE.read_text(encoding="utf-8")
     rows = text.split("<!-- table -->")[1].split("<!-- end of table -->")[0].strip().splitlines()[2:]
     assert len(rows) == 29

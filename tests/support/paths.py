@@ -1,6 +1,8 @@
-"""Folders that tests read from."""
+"""Folders that tests read from, and scripts that they use as modules."""
 
+import importlib.util
 import os
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -14,3 +16,14 @@ REALDATA = Path(os.environ.get("MODALCAM_REALDATA") or ROOT / "realdata")
 REALDATA_ABSENT = (
     "no real recordings: `python -m tests.realdata` fetches them, or MODALCAM_REALDATA names their folder"
 )
+
+
+def script(path):
+    """The module of a script outside the packages; the path of modules stays as it was."""
+    spec = importlib.util.spec_from_file_location(f"script_{path.stem}", path)
+    module, before = importlib.util.module_from_spec(spec), list(sys.path)
+    # frozen dataclasses look up their module when their class is made
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    sys.path[:] = before
+    return module

@@ -1,4 +1,4 @@
-"""The registry of figures: its order, its cache, and a figure of a plugin."""
+"""The registry of figures: its order, its cache, a figure of a plugin; the criterion of the shape that is drawn."""
 
 from dataclasses import replace
 
@@ -8,7 +8,15 @@ from kit import runs
 
 from modalcam.pipeline import Cache, Progress, worker_pool
 from modalcam.report import build_report, draw_figures
-from modalcam.report.figures import FIGURES, FigureKind, RecordingSubject, base, figures_of, register_figure
+from modalcam.report.figures import (
+    FIGURES,
+    FigureKind,
+    RecordingSubject,
+    base,
+    figures_of,
+    register_figure,
+    shape_of,
+)
 
 
 @pytest.fixture
@@ -131,3 +139,19 @@ def test_figures_without_data_are_omitted():
     empty = RecordingSubject(replace(runs.recording(0), tracks=None, series=None, identification=None))
     assert list(figures_of("recording", empty, "r1")) == []
     assert list(figures_of("tracking", empty, "r1")) == []
+
+
+def test_the_assurance_criterion_is_that_of_the_drawn_curve():
+    """That of the mode is with the configured beam; the curve may be of the updated one."""
+    recording = runs.recording(0, number=2)
+    found = recording.identification
+    modes = tuple(replace(mode, mac=0.342) for mode in found.modes)
+    recording = replace(recording, identification=replace(found, modes=modes))
+    shown = shape_of(RecordingSubject(recording, runs.beam_theory()))
+    # Linear interpolation of 121 points of mode 2 errs by under 1e-3 of its largest value.
+    at_markers = np.interp(shown.position_mm, *shown.curve)
+    expected = abs(np.vdot(shown.shape, at_markers)) ** 2
+    expected /= np.vdot(shown.shape, shown.shape).real * np.vdot(at_markers, at_markers).real
+    assert shown.mac == pytest.approx(expected, abs=1e-3)
+    assert shown.mac > 0.99
+    assert shape_of(RecordingSubject(recording)).mac != shown.mac, "unknown without theory"

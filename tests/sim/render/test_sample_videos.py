@@ -1,8 +1,6 @@
 """Sample recordings: true values, size, and reproduction by the script in their folder."""
 
-import importlib.util
 import json
-import sys
 import tomllib
 from itertools import islice
 
@@ -10,7 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from support.paths import SAMPLES
+from support.paths import SAMPLES, script
 
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
 from sim.beam import AncfBeam, beam_modes
@@ -21,13 +19,7 @@ MAX_BYTES = 25_000_000
 
 @pytest.fixture(scope="module")
 def make():
-    spec = importlib.util.spec_from_file_location("make_sample_videos", SAMPLES / "make.py")
-    module = importlib.util.module_from_spec(spec)
-    # Frozen dataclasses look up their module during class creation.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return script(SAMPLES / "make.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
-"""Small positive definite systems against `numpy.linalg.solve`, singular ones, and light of too few stations."""
+"""Small positive definite systems against `numpy.linalg.solve`, singular ones, few stations, empty profiles."""
 
 import numpy as np
 import pytest
 
-from tracker.line import Light, kernel, known_light_shift, light_basis, solve_in_place
+from tracker.line import Light, ProfileSums, kernel, known_light_shift, light_basis, solve_in_place
 
 EPS = np.finfo(np.float64).eps
 
@@ -80,3 +80,9 @@ def test_nan_is_kept_as_numpy_does():
     assert regular
     assert np.isnan(found[1])
     assert np.isnan(np.linalg.solve(matrix, np.ones(3))[1])
+
+
+@pytest.mark.parametrize("reach_px", [1.0, 3.0, 20.0])
+def test_without_pixels_the_profile_is_zero(reach_px):
+    """The smoothing alone leaves every parabola free: its matrix has no factor but for rounding."""
+    assert not np.any(ProfileSums(reach_px, 2).solve().coefs)

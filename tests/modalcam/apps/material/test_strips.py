@@ -1,22 +1,14 @@
 """The page on real strips: its numbers follow from the frequencies that it prints, and the clamp is named."""
 
-import importlib.util
-import sys
-
 import pytest
-from support.paths import ROOT
+from support.paths import ROOT, script
 
 PAGE = ROOT / "docs" / "studies" / "material.md"
 
 
 @pytest.fixture(scope="module")
 def study():
-    spec = importlib.util.spec_from_file_location("material_study", PAGE.with_suffix(".py"))
-    module = importlib.util.module_from_spec(spec)
-    before = list(sys.path)
-    spec.loader.exec_module(module)
-    sys.path[:] = before
-    return module
+    return script(PAGE.with_suffix(".py"))
 
 
 @pytest.fixture(scope="module")

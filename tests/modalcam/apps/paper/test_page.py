@@ -10,13 +10,23 @@ from kit import runs
 from support.html_page import Page, assert_sound
 
 from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
-from modalcam.apps.paper import TrueMode, checks, numbers, paper_html, paper_page, recompute, variables
+from modalcam.apps.paper import (
+    TrueMode,
+    beam_differences,
+    checks,
+    numbers,
+    paper_html,
+    paper_page,
+    read_truth,
+    recompute,
+    variables,
+)
 from modalcam.apps.paper import tables as paper_tables
 from modalcam.pipeline import BeamResult
 from modalcam.report import best_modes
 from sim import paper_beam
 from sim import reference as printed
-from sim.beam import AncfBeam, beam_modes
+from sim.beam import AncfBeam, PointMass, beam_modes
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
 NOTHING = {}
@@ -221,3 +231,22 @@ def test_the_values_of_the_equations():
     assert e.eq6_right_error < 1e-9
     assert e.eq6_printed_error > 1.0
     assert abs(e.ratio_above) < 1e-12
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"recordings": [{"mode": 1}]}', '{"recordings": 3}'])
+def test_an_unusable_truth_is_reported_and_ignored(tmp_path, text):
+    assert read_truth(tmp_path) == {}
+    (tmp_path / "truth.json").write_text(text)
+    truth = read_truth(tmp_path)
+    assert not truth
+    assert truth.reason.startswith("truth.json was not used: expected a list of recordings")
+
+
+def test_differences_from_the_papers_beam_are_listed():
+    assert beam_differences(paper_beam()) == ()
+    other = replace(paper_beam("standing"), density_kg_m3=7850.0, point_masses=(PointMass(0.4, 5e-4),))
+    assert beam_differences(other) == (
+        "density 7850 kg/m³ instead of 8000",
+        "standing instead of hanging",
+        "0.5 g of added mass",
+    )
