@@ -167,9 +167,9 @@ def images_for(case, n=20, **size):
     return images(n, depth=DEEP.get(case, 8), **size)
 
 
-def read(path):
+def read(path, opened=open_recording):
     """All frames of a recording, and its properties."""
-    source = open_recording(path)
+    source = opened(path)
     try:
         return list(source.frames()), source.info
     finally:

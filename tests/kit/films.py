@@ -230,3 +230,12 @@ def damage_packet(path, index):
     data[start:stop] = rng.integers(0, 256, stop - start, dtype=np.uint8).tobytes()
     path.write_bytes(bytes(data))
     return path
+
+
+def luma(path):
+    """Gray levels of the frames of a film as they are coded."""
+    with av.open(str(path)) as container:
+        for frame in container.decode(video=0):
+            plane = frame.planes[0]
+            rows = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)
+            yield rows[: frame.height, : frame.width].astype(float)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from scipy.special import ellipk
+from support.beams import first_roots
 
 from sim import paper_beam
 from sim.beam import AncfBeam, ElasticClamp, NoEquilibriumError, PointMass, beam_modes, static_equilibrium
@@ -51,12 +51,7 @@ def theory_hz(ends, count, length=BEAM.length_m):
             rows += conditions(end, np.array(values), beta, sign)
         return np.linalg.det(rows)
 
-    # the tallest of these beams has its count-th root below (count + 1) pi, and none below 0.5 but rigid motion
-    grid = np.linspace(0.5, (count + 1) * np.pi, 400)
-    values = np.array([determinant(x) for x in grid])
-    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)[:count]
-    roots = np.array([brentq(determinant, grid[i], grid[i + 1], xtol=1e-13) for i in at])
-    return (roots / length) ** 2 * np.sqrt(STIFFNESS / LINE_MASS) / (2.0 * np.pi)
+    return (first_roots(determinant, count) / length) ** 2 * np.sqrt(STIFFNESS / LINE_MASS) / (2.0 * np.pi)
 
 
 PAIRS = [

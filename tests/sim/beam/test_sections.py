@@ -2,21 +2,15 @@
 
 import numpy as np
 import pytest
+from kit import beams
 from scipy.linalg import expm
-from scipy.optimize import brentq
+from support.beams import first_roots
 
 from modalcam.config import BeamConfig, beam_properties
 from sim.beam import AncfBeam, BeamProperties, beam_modes
 from sim.updating.update import _coarse
 
-BEAM = {
-    "length_mm": 500.0,
-    "width_mm": 5.0,
-    "thickness_mm": 0.5,
-    "density_kg_m3": 8000.0,
-    "elastic_modulus_mpa": 210e3,
-    "orientation": "none",
-}
+BEAM = {**beams.BEAM, "orientation": "none"}
 CASES = {
     "thick root": [{"from_mm": 125.0, "thickness_mm": 0.3}],
     "wide middle": [{"from_mm": 200.0, "width_mm": 12.0}, {"from_mm": 300.0}],
@@ -42,12 +36,8 @@ def theory_hz(changes, count):
             whole = expm((end - start) * rates) @ whole
         return np.linalg.det(whole[2:, 2:])
 
-    grid = np.linspace(0.5, (count + 1) * np.pi, 400)
-    values = np.array([determinant(x) for x in grid])
-    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)[:count]
-    roots = np.array([brentq(determinant, grid[i], grid[i + 1], xtol=1e-13) for i in at])
     stiffness, mass = 210e9 * 5e-3 * 0.5e-3**3 / 12.0, 8000.0 * 5e-3 * 0.5e-3
-    return (roots / 0.5) ** 2 * np.sqrt(stiffness / mass) / (2.0 * np.pi)
+    return (first_roots(determinant, count) / 0.5) ** 2 * np.sqrt(stiffness / mass) / (2.0 * np.pi)
 
 
 @pytest.mark.parametrize("changes", CASES.values(), ids=CASES)

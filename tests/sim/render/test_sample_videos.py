@@ -8,6 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from kit.films import luma
 from support.paths import SAMPLES, script
 
 from sim import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
@@ -25,14 +26,6 @@ def make():
 @pytest.fixture(scope="module")
 def truth():
     return json.loads((SAMPLES / "truth.json").read_text(encoding="utf-8"))
-
-
-def luma(path, count=None):
-    with av.open(str(path)) as container:
-        for frame in islice(container.decode(video=0), count):
-            plane = frame.planes[0]
-            rows = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)
-            yield rows[: frame.height, : frame.width].astype(float)
 
 
 def test_truth_matches_the_simulated_beam(truth):
@@ -69,7 +62,7 @@ def test_files_are_complete_and_have_a_playback_rate(truth):
 
 def test_markers_are_at_the_true_positions(truth):
     for recording in truth["recordings"]:
-        image = next(luma(SAMPLES / recording["file"], 1))
+        image = next(luma(SAMPLES / recording["file"]))
         background = np.median(image)
         rows, columns = np.indices(image.shape)
         radius = 8.0 if recording["mode"] != 3 else 16.0
@@ -84,7 +77,7 @@ def test_markers_are_at_the_true_positions(truth):
 
 def test_aruco_markers_of_the_samples_are_detected(truth):
     recording = truth["recordings"][2]
-    image = next(luma(SAMPLES / recording["file"], 1)).astype(np.uint8)
+    image = next(luma(SAMPLES / recording["file"])).astype(np.uint8)
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
     corners, ids, _ = detector.detectMarkers(image)
     assert sorted(ids.ravel().tolist()) == [0, 1, 2, 3, 4, 5]

@@ -2,10 +2,12 @@
 
 import re
 from fractions import Fraction
+from functools import partial
 
 import av
 import numpy as np
 import pytest
+from kit import camera_files as files
 from kit import films as media
 
 from tracker import TrackerSettings, flags, track
@@ -15,11 +17,7 @@ from tracker.video import source as limits
 BLOB = TrackerSettings(fps=Fraction(1000), kind="blob")
 
 
-def read(path):
-    source = VideoSource(path)
-    frames = list(source.frames())
-    source.close()
-    return frames, source.info
+read = partial(files.read, opened=VideoSource)
 
 
 @pytest.mark.parametrize(

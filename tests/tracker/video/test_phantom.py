@@ -1,5 +1,7 @@
 """Phantom recordings: every bit depth, the camera's time stamps, and real files against FFmpeg's decoder."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from kit import camera_files as files
@@ -13,11 +15,7 @@ REAL = REALDATA / "highspeed_formats"
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
-def read(path):
-    source = PhantomSource(path)
-    frames = list(source.frames())
-    source.close()
-    return frames, source.info
+read = partial(files.read, opened=PhantomSource)
 
 
 def test_packed_10_bit_is_linearized(tmp_path):

@@ -1,6 +1,7 @@
 """Photron recordings: every bit depth, both header formats, and real files of a FASTCAM."""
 
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,11 +18,7 @@ from tracker.video import PhotronSource, UnreadableVideoError, unpacked
 real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
-def read(path):
-    source = PhotronSource(path)
-    frames = list(source.frames())
-    source.close()
-    return frames, source.info
+read = partial(files.read, opened=PhotronSource)
 
 
 @pytest.mark.parametrize("bits", [10, 12])

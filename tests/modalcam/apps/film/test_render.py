@@ -2,10 +2,9 @@
 
 import shutil
 
-import av
 import numpy as np
 import pytest
-from kit.films import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, decay_px
+from kit.films import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, decay_px, luma
 from support.render_truth import centroid
 
 from modalcam.apps.film import SimulatedFootage, film_run
@@ -13,14 +12,6 @@ from modalcam.commands import Options
 from modalcam.common import InputError
 from modalcam.config import ExperimentConfig
 from modalcam.pipeline import Progress, load_run
-
-
-def frames_of(path):
-    with av.open(str(path)) as container:
-        for frame in container.decode(video=0):
-            plane = frame.planes[0]
-            rows = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)
-            yield rows[: frame.height, : frame.width].astype(float)
 
 
 def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path, monkeypatch):
@@ -35,7 +26,7 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path, monkey
     count = film_run(options, None, path, Progress())
     first = FRAMES - count
     assert first == np.searchsorted(np.arange(FRAMES) / FPS, found.onset.fit_from_s)
-    film = list(frames_of(path))
+    film = list(luma(path))
     assert [frame.shape for frame in film] == [(HEIGHT, WIDTH)] * count
     # Lines of pixels across the dot are symmetric about its centre.
     middle = np.array([centroid(np.where(f < 190.0, f, 200.0)[12:21], 200.0)[0] for f in film])
