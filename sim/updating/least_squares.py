@@ -29,10 +29,10 @@ class Tuning:
     #: physics: Determines only what the data do not; it shifts the frequencies by less than 1e-7.
     pull: float = 0.01
     #: [1] Gauss-Newton iterations, here and to the maximum of a posterior
-    iterations: int = 60
+    iterations: int = 40
     #: [1] share of a step below which it is not halved again: the point counts as the solution
-    #: convention: Thirteen halvings; chosen.
-    smallest_share: float = 1e-4
+    #: convention: Nine halvings; chosen.
+    smallest_share: float = 1e-3
     #: [1] largest change of a factor at convergence; of a number of the posterior, in sd of its prior
     #: physics: A hundredth of model_sd. The error of a log evidence is its square times the precision of the data, 1e6.
     settled: float = 1e-6

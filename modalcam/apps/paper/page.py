@@ -172,11 +172,11 @@ def variables(update: PaperUpdate) -> str:
         return figure_svg(figure)
 
 
-def signed_percent(ratio: float, digits: int = 2) -> str:
-    """``+0.62 %``: a relative difference to `digits` significant digits; a dash for NaN."""
+def signed_percent(ratio: float) -> str:
+    """``+0.62 %``: a relative difference to two significant digits; a dash for NaN."""
     if np.isnan(ratio):
         return MISSING
-    text = significant(100.0 * ratio, digits)
+    text = significant(100.0 * ratio, 2)
     return f"{'+' if ratio > 0.0 and text != '0' else ''}{text} %"
 
 

@@ -31,8 +31,8 @@ _LARGEST = 1e7
 _SUPERSCRIPT = str.maketrans("-0123456789.", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹·")
 
 
-def decimals_of(sd: float, *, digits: int = 2) -> int:
-    """Decimals that show `digits` significant digits of `sd`; negative left of the point.
+def decimals_of(sd: float) -> int:
+    """Decimals that show two significant digits of `sd`; negative left of the point.
 
     Raises
     ------
@@ -41,8 +41,7 @@ def decimals_of(sd: float, *, digits: int = 2) -> int:
     """
     checked("sd", sd, positive=True)
     # The mantissa after rounding decides: 0.0996 to two digits is 0.10, one decimal less than 0.0994.
-    exponent = int(f"{sd:.{digits - 1}e}".partition("e")[2])
-    return digits - 1 - exponent
+    return 1 - int(f"{sd:.1e}".partition("e")[2])
 
 
 def fixed(value: float, decimals: int) -> str:
