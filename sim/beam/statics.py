@@ -36,15 +36,12 @@ class Tuning:
     #: [1] growth of an increment per iteration that counts as divergence after them
     #: convention: Chosen; a converging iteration shrinks.
     growth: float = 4.0
-    #: [lengths] largest increment at convergence
-    #: physics: Four decades above rounding, far below what a measurement resolves.
+    #: [lengths] largest increment at convergence; a hundred times as much where it no longer halves
+    #: physics: Four decades above rounding, which EA times the strain raises in a bent slender beam.
     settled: float = 1e-12
 
 
 TUNING = Tuning()
-
-# Lengths: an increment that no longer halves is attributed to rounding, which EA multiplies in a bent slender beam.
-STALLED = 100.0 * TUNING.settled
 
 
 class NoEquilibriumError(ArithmeticError):
@@ -143,7 +140,9 @@ def _newton(
         ):
             return None
         q += delta
-        if size < TUNING.settled * length or (size < STALLED * length and size > 0.5 * previous):
+        if size < TUNING.settled * length or (
+            size < 100.0 * TUNING.settled * length and size > 0.5 * previous
+        ):
             return q
         previous = size
     return None

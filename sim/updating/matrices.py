@@ -241,7 +241,7 @@ class BeamMatrices:
             return q
         free = self.free(self.static)
         scale = self.scale(self.static)
-        small, stalled = (x * self.standard.length_m for x in (statics.TUNING.settled, statics.STALLED))
+        small = statics.TUNING.settled * self.standard.length_m
         previous = np.full(bend.shape[0], np.inf)
         done = np.zeros(bend.shape[0], dtype=np.bool_)
         for _ in range(statics.TUNING.iterations):
@@ -252,7 +252,7 @@ class BeamMatrices:
             move = scaled_solve(tangent, residual[:, :, np.newaxis], scale)[:, :, 0]
             size = np.max(np.abs(move * scale), axis=1)
             q[todo[:, np.newaxis], free] += move
-            done[todo] = (size < small) | ((size < stalled) & (size > 0.5 * previous[todo]))
+            done[todo] = (size < small) | ((size < 100.0 * small) & (size > 0.5 * previous[todo]))
             lost = ~(size < statics.TUNING.lost * self.standard.length_m)
             done[todo] |= lost
             q[todo[lost]] = np.nan

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tracker.acceptance import TUNING as ACCEPTANCE
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers import Detection, IdealFit, part_around
-from tracker.register import exposure, kernel
+from tracker.register import kernel
 from tracker.register.calibration_frames import TUNING as FOLLOWED
 from tracker.register.calibration_frames import (
     CalibrationFrames,
@@ -375,7 +375,7 @@ def calibrate_all(
     """
     frames = CalibrationFrames(images, camera, exposure_share or 0.0)
     models, notes = _calibrate_each(frames, detections)
-    if exposure_share is None and largest_motion_px(models) >= exposure.LEAST_MOTION_PX:
+    if exposure_share is None and is_blur(0.5 * largest_motion_px(models)):
         frames, models, notes = _with_estimated_exposure(frames, detections, models, notes)
     share = frames.exposure_share
     models = tuple(m if m.detection.kind.has_outline else with_motion_sd(frames, m) for m in models)

@@ -18,7 +18,6 @@ from tracker.template import (
     path_length_px,
     seen_from_marker,
 )
-from tracker.template import blur as motion_blur
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Motion from frame to frame below which it cannot be estimated: the larger half of the shares is then a modelled blur.
-LEAST_MOTION_PX = 2.0 * motion_blur.TUNING.smallest_px
 
 SHARES = np.linspace(0.0, 1.0, 11)
 
@@ -88,9 +84,9 @@ def _from_marker(frames: CalibrationFrames, model: MarkerModel) -> tuple[float, 
     motion, bend = path_derivatives_px(model.states)
     speed = np.where(np.all(np.isfinite(model.states), axis=1), np.linalg.norm(motion, axis=1), 0.0)
     speed[[0, -1]] = 0.0  # only one neighbour
-    fastest = np.argsort(speed)[::-1][: TUNING.frames]
-    fastest = fastest[speed[fastest] >= LEAST_MOTION_PX]
-    if fastest.size == 0:
+    # half of the motion is a blur that a template includes
+    fastest = [k for k in np.argsort(speed)[::-1][: TUNING.frames] if is_blur(0.5 * speed[k])]
+    if not fastest:
         return None
     blurrer = Blurrer(model.template, model.known)
     total, pixels = np.zeros(SHARES.size), 0.0
