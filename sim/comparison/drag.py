@@ -24,7 +24,6 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from modal_id.data import bandwidth_hz
 from sim.beam import BeamModes
 from sim.comparison.problem import TUNING as PROBLEM
 from sim.comparison.problem import DecaySetting
@@ -70,6 +69,12 @@ class Tuning:
     #: [1] the first fit ends where the amplitude has fallen to this share
     #: convention: Before the phase can slip by a period where the first frequency is off; chosen.
     early_share: float = 0.3
+    #: [1] largest frequency of the baseline, over the mode's
+    #: physics: Below 0.5 a spline cannot follow the mode.
+    slow_share: float = 0.4
+    #: [Hz] largest frequency of the baseline
+    #: convention: Drift of lighting, mount and temperature is slower; chosen.
+    slow_hz: float = 1.0
 
 
 TUNING = Tuning()
@@ -331,7 +336,7 @@ class _Problem:
 def slow_columns(setting: DecaySetting) -> FloatArray:
     """Cubic B-splines for an offset and a drift slower than the mode, shape (n, p)."""
     t = setting.time_s
-    spacing_s = 0.5 / bandwidth_hz(abs(setting.exponent) / (2.0 * np.pi))
+    spacing_s = 0.5 / min(TUNING.slow_share * abs(setting.exponent) / (2.0 * np.pi), TUNING.slow_hz)
     inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
     knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
     return np.asarray(scipy.interpolate.BSpline.design_matrix(t, knots, 3).toarray())
