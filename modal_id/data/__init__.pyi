@@ -1,8 +1,8 @@
+from .baseline import FEW_VALUES as FEW_VALUES
 from .baseline import RELATIVE_BANDWIDTH as RELATIVE_BANDWIDTH
 from .baseline import bandwidth_hz as bandwidth_hz
 from .baseline import baseline_matrix as baseline_matrix
 from .baseline import baseline_splines as baseline_splines
-from .prepare import MIN_SAMPLES as MIN_SAMPLES
 from .prepare import Prepared as Prepared
 from .prepare import Projection as Projection
 from .prepare import last_saturated_row as last_saturated_row
@@ -15,6 +15,8 @@ from .projection import project as project
 from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
 from .repeats import sampled_rows as sampled_rows
+from .samples import MIN_SAMPLES as MIN_SAMPLES
+from .samples import OUTLIER_SD as OUTLIER_SD
 from .samples import FitData as FitData
 from .samples import are_many as are_many
 from .samples import beyond_limit as beyond_limit

@@ -24,12 +24,13 @@ class Tuning:
     #: [Hz] largest frequency of the baseline at first
     #: convention: `modal_id.fit.model_order` may raise it.
     ceiling_hz: float = 1.0
-    #: [samples] number of rows up to which the baseline is held in memory for all of them
+    #: [1] number of values up to which functions of time are held in memory for all samples
     #: convention: Limits the memory.
-    few_rows: int = 200_000
+    few_values: int = 500_000
 
 
 TUNING = Tuning()
+FEW_VALUES = TUNING.few_values
 
 # Each sample lies in this many cubic splines; columns of a straight line.
 _OVERLAPPING, _OF_LINE = 4, 2
@@ -57,7 +58,7 @@ class Splines:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> csr_array:
         """Some rows of the columns, sparse."""
-        if self.time_s.size > TUNING.few_rows:
+        if _OVERLAPPING * self.time_s.size > FEW_VALUES:
             return self._at(self.time_s[rows])
         # SciPy takes longer for a copy of all rows than for most products.
         is_all = isinstance(rows, slice) and rows.indices(self.time_s.size) == (0, self.time_s.size, 1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from modal_id.data.repeats import repeated_rows
-from modal_id.data.samples import FitData, runs
+from modal_id.data.samples import MIN_SAMPLES, FitData, runs
 from modal_id.sentences import Note, Reason, Refusal
 from tracker import BoolArray, DisplacementSeries, FloatArray
 
@@ -33,12 +33,8 @@ class Tuning:
     same_rate: float = 1.9
     #: [1] share of steps or duration, the larger of both, below which a stretch does not count as another rate
     least_share: float = 0.05
-    #: [1] largest number of rates listed in a message
-    listed: int = 4
     #: [samples] shortest clipped run
     min_run: int = 4
-    #: [1] fewest clipped runs
-    min_runs: int = 2
     #: [1] length of a clipped run over that of a sine within one step of its peak
     clipped_factor: float = 4.0
     #: [1] share of finite samples below which a channel is left out
@@ -46,7 +42,7 @@ class Tuning:
     #: [1] range of a channel over the stated sd below which it is rounding
     #: physics: The range of noise with this sd is above three times the sd.
     rounding: float = 0.01
-    #: [1] largest number of channels named in a note
+    #: [1] largest number of channels, or of rates, named in a note
     most_names: int = 8
 
 
@@ -92,8 +88,8 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
     first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
     rates = [
         Note.RATE(rate_hz=1.0 / float(np.median(step_s[begin:end])), start_s=time_s[begin])
-        for begin, end in stretches[: TUNING.listed]
-    ] + ["…"] * (len(stretches) > TUNING.listed)
+        for begin, end in stretches[: TUNING.most_names]
+    ] + ["…"] * (len(stretches) > TUNING.most_names)
     # A step lies between two rows.
     note = Note.RATES(rates=", ".join(rates), start_s=time_s[first], end_s=time_s[last])
     return int(first), int(last) + 1, note
@@ -148,13 +144,10 @@ def _last_run(column: FloatArray, least_step: float) -> int | None:
     # Peaks: the signal leaves the limit between them, unlike noise on a level that it has stepped to.
     peaks = np.flatnonzero(long)
     left = [np.min(x[ends[a] : starts[b]]) < 0.5 * (top + middle) for a, b in pairwise(peaks)]
-    if not peaks.size or np.count_nonzero(left) + 1 < TUNING.min_runs:
+    if not any(left):
         return None
     # Later and shorter runs at the same limit are clipped too.
     return int(good[ends[lengths >= 2][-1] - 1])
-
-
-MIN_SAMPLES = 12
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
+from scipy.special import ndtri
 
-from modal_id.data.samples import runs
+from modal_id.data.samples import MIN_SAMPLES, runs
 from tracker import BoolArray, DisplacementSeries, FloatArray, robust_sd
 
 
@@ -20,9 +21,7 @@ from tracker import BoolArray, DisplacementSeries, FloatArray, robust_sd
 class Tuning:
     """Samples repeated by the recorder, or held by a slower clock."""
 
-    #: [1] largest difference of a repetition from the row before, over a typical step
-    small: float = 0.2
-    #: [1] the same, over a typical second difference
+    #: [1] largest difference of a repetition from the row before, over a typical second difference
     #: convention: That is the noise where the motion is slow.
     small_bend: float = 0.15
     #: [1] step over the noise of a sample above which there is no repetition
@@ -36,9 +35,6 @@ class Tuning:
     #: [samples] rows on either side with which a repetition is compared
     #: physics: Motion and noise change during a decay.
     around: int = 100
-    #: [1] probability that a Gaussian step is below a share of the median step, over that share
-    #: physics: 2 x 0.6745 x 0.399 = 0.54, rounded up.
-    below_median: float = 0.6
     #: [1] probability, over the record, that motion and noise look like a repetition
     #: statistics: One record in a thousand.
     false_alarm: float = 1e-3
@@ -56,32 +52,20 @@ class Tuning:
     #: [1] share of the distances between changes that must be a multiple of the usual distance
     #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
     even: float = 0.9
-    #: [samples] fewest samples that show it
-    least_samples: int = 12
-    #: [steps] fewest that are judged, and with which others are compared
-    #: convention: The median of fewer is not typical of the motion.
-    least_steps: int = 8
-    #: [1] passes in which the linear prediction leaves out what it does not predict
-    #: convention: Limits the computing time.
-    passes: int = 8
     #: [1] windows that determine one coefficient of the prediction, at least
     #: convention: Fewer would be fitted, and the noise be found too small.
     windows_each: int = 4
     #: [sd] error of the prediction from which a window is left out
     #: statistics: Noise alone reaches it in one window of 16 000.
     unpredicted: float = 4.0
-    #: [1] relative difference below which two values are equal
-    #: convention: Far above the rounding of sums in double precision.
-    equal: float = 1e-9
-    #: [1] one in this many of the smallest differences counts for the resolution
-    #: convention: Two independent values may be close by chance.
-    smallest_in: int = 100
-    #: [1] range of the time steps, over their median, above which rows are not even
-    #: convention: A gap is a whole step longer.
-    uneven: float = 0.5
 
 
 TUNING = Tuning()
+
+# Relative difference below which two values are equal: half the digits.
+_EQUAL = float(np.sqrt(np.finfo(float).eps))
+# Probability that a Gaussian step is below a small share of the median step, over that share.
+_BELOW_MEDIAN = float(np.sqrt(2.0 / np.pi) * ndtri(0.75))
 
 
 def repeated_rows(values: FloatArray) -> BoolArray:
@@ -102,11 +86,11 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     repeated = np.zeros(n, dtype=bool)
     steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
     finite = np.all(np.isfinite(steps), axis=1)
-    if np.count_nonzero(finite) < TUNING.least_steps or not np.all(np.any(np.isfinite(bends), axis=0)):
+    if np.count_nonzero(finite) < MIN_SAMPLES - 1 or not np.all(np.any(np.isfinite(bends), axis=0)):
         return repeated
     typical = _typical(steps[finite])
     small = np.minimum(TUNING.small_bend * np.nanmedian(bends, axis=0), TUNING.small_noise * _noise(values))
-    least = np.minimum(TUNING.small, small / np.maximum(typical, 1e-300))
+    least = small / np.maximum(typical, 1e-300)
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > TUNING.coarse * typical):
         return repeated
@@ -165,9 +149,7 @@ def _noise(values: FloatArray) -> FloatArray:
         windows = np.lib.stride_tricks.sliding_window_view(column, TUNING.order + 1)
         windows = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
         windows = windows[np.all(np.isfinite(windows), axis=1)]
-        for _ in range(TUNING.passes):
-            if windows.shape[0] <= TUNING.windows_each * TUNING.order:
-                break
+        while windows.shape[0] > TUNING.windows_each * TUNING.order:
             gram = windows.T @ windows
             past = gram[:-1, :-1]
             ridge = 1e-12 * np.trace(past) + 1e-300
@@ -185,38 +167,33 @@ def _noise(values: FloatArray) -> FloatArray:
 def _log_chance(values: FloatArray, around: FloatArray) -> float:
     """Logarithm of the probability that values as small as these occur, judged by those around them."""
     around = around[np.isfinite(around)]
-    if around.size < TUNING.least_steps:
+    if around.size < MIN_SAMPLES:
         return 0.0
     rank = (1.0 + np.searchsorted(np.sort(around), values, side="right")) / (around.size + 1.0)
-    share = TUNING.below_median * values / max(float(np.median(around)), 1e-300)
+    share = _BELOW_MEDIAN * values / max(float(np.median(around)), 1e-300)
     return float(np.sum(np.log(np.minimum(np.maximum(rank, share), 1.0))))
 
 
 def _resolution(values: FloatArray) -> FloatArray:
-    """Smallest difference between two different values of each channel: the median of the smallest ones."""
+    """Smallest difference between two values of each channel that differ by more than rounding."""
     smallest = np.full(values.shape[1], np.inf)
     for channel, column in enumerate(values.T):
         apart = np.diff(np.unique(column[np.isfinite(column)]))
-        apart = apart[apart > TUNING.equal * np.nanmax(np.abs(column))]
-        few = np.sort(apart)[: max(apart.size // TUNING.smallest_in, 1)]
-        smallest[channel] = np.median(few) if few.size else np.inf
+        smallest[channel] = np.min(apart[apart > _EQUAL * np.nanmax(np.abs(column))], initial=np.inf)
     return smallest
 
 
 def sampled_rows(series: DisplacementSeries) -> tuple[NDArray[np.intp], int] | None:
     """Rows that carry a sample, and their distance in rows; None where every row may."""
     seen = np.flatnonzero(np.any(np.isfinite(series.values), axis=1))
-    if seen.size < TUNING.least_samples:
-        return None
-    steps = np.diff(series.time_s)
-    if np.ptp(steps) > TUNING.uneven * float(np.median(steps)):
+    if seen.size < MIN_SAMPLES:
         return None
     values = series.values[seen]
     values = values[:, np.any(np.isfinite(values), axis=0)]
     repeated = repeated_rows(values)
     repeated[1:] |= np.all((values[1:] == values[:-1]) | np.isnan(values[1:]), axis=1)
     rows = seen[~repeated]
-    if rows.size < TUNING.least_samples:
+    if rows.size < MIN_SAMPLES:
         return None
     lengths = np.diff(rows)
     held = int(np.median(lengths))

@@ -14,6 +14,9 @@ from scipy.sparse import csr_array
 
 from tracker import MAD_TO_SD, BoolArray, FloatArray
 
+# A record, a channel or a part of either with fewer samples tells nothing.
+MIN_SAMPLES = 12
+
 
 @dataclass(frozen=True)
 class FitData:
@@ -142,7 +145,8 @@ def runs(mask: BoolArray) -> NDArray[np.intp]:
 class Tuning:
     """Rejection of outliers."""
 
-    #: [sd] deviation from which a sample is rejected
+    #: [sd] deviation that is not due to chance: of a sample from the model, of the number of such samples from that
+    #: expected
     #: statistics: One good sample in two million.
     limit: float = 5.0
     #: [1] share of a channel's samples that may be rejected wherever they lie; more show that the model lacks something
@@ -156,12 +160,10 @@ class Tuning:
     mostly: float = 0.8
     #: [1] share of the record that counts as its beginning
     beginning: float = 0.1
-    #: [sd] excess of marked samples there over chance
-    #: statistics: Chance exceeds it in 3e-7 of records.
-    excess_sd: float = 5.0
 
 
 TUNING = Tuning()
+OUTLIER_SD = TUNING.limit
 
 
 def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
@@ -198,7 +200,7 @@ def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
     columns = zip(residual.T, root.T, used.T, strict=True)
     spread = np.array([np.median(np.abs(r[u]) * s[u]) if np.any(u) else 0.0 for r, s, u in columns])
     known = used & (spread > 0.0)
-    limit = np.divide(TUNING.limit * MAD_TO_SD * spread, root, out=root, where=known)
+    limit = np.divide(OUTLIER_SD * MAD_TO_SD * spread, root, out=root, where=known)
     limit[~known] = np.inf
     return np.asarray(limit)
 
@@ -234,5 +236,5 @@ def _are_scattered(bad: BoolArray) -> bool:
     expected = n * fraction**2
     tenths = np.array([np.count_nonzero(part) for part in np.array_split(bad, 10)])
     spread = np.sqrt(0.1 * n * fraction * (1.0 - fraction))
-    even = np.max(np.abs(tenths - 0.1 * count)) < TUNING.excess_sd * spread
-    return bool(even and neighbours < expected + TUNING.excess_sd * np.sqrt(expected) + TUNING.excess_sd)
+    even = np.max(np.abs(tenths - 0.1 * count)) < OUTLIER_SD * spread
+    return bool(even and neighbours < expected + OUTLIER_SD * np.sqrt(expected) + OUTLIER_SD)

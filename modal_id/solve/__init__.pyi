@@ -3,12 +3,16 @@ from .cholesky import cholesky as cholesky
 from .cholesky import normal_band as normal_band
 from .cholesky import pseudo_inverse as pseudo_inverse
 from .cholesky import solve as solve
+from .linear import RIDGE as RIDGE
 from .linear import LinearSolution as LinearSolution
 from .linear import Problem as Problem
 from .linear import solve_linear as solve_linear
 from .linear import without_fit as without_fit
+from .maximum import MAX_CONDITION as MAX_CONDITION
 from .maximum import maximum as maximum
 from .maximum import shortened as shortened
+from .poles import MOST_GROWTH as MOST_GROWTH
+from .poles import MOST_RATE_PER_SAMPLE as MOST_RATE_PER_SAMPLE
 from .poles import PoleFit as PoleFit
 from .poles import damping_ratio as damping_ratio
 from .poles import fit_poles as fit_poles

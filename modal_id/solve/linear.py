@@ -34,6 +34,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+RIDGE = TUNING.ridge
 
 _ROUNDING = 32.0 * np.finfo(float).eps
 
@@ -72,7 +73,7 @@ class Problem:
         parts = []
         normals = self.weighting.baseline_normal()
         for normal, moment in zip(normals, self.weighting.baseline_own(self.data.values), strict=True):
-            normal[0] += TUNING.ridge * float(np.max(normal[0])) + 1e-300
+            normal[0] += RIDGE * float(np.max(normal[0])) + 1e-300
             factor = BandedFactor.of(normal)
             parts.append(SlowPart(factor, moment, factor.solve(moment)))
         return tuple(parts)
@@ -164,7 +165,7 @@ def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
         # Where the baseline explains the functions at the used samples, or they are 0 there, only rounding errors of
         # the products are left: of functions that begin with 1.
         ridge = max(
-            TUNING.ridge * (np.max(np.diag(gram), initial=0.0) + 1e-300),
+            RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
             _ROUNDING * np.max(np.diag(own.inner), initial=1.0),
         )
         gram.flat[:: p + 1] += ridge

@@ -33,6 +33,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+MAX_ITERATIONS, MAX_CONDITION = TUNING.max_iterations, TUNING.max_condition
 
 T = TypeVar("T")
 Step = TypeVar("Step", FloatArray, ComplexArray)
@@ -54,7 +55,7 @@ def maximum(
         A better point in the direction of a step, as from `shortened`, or None.
     """
     now = start
-    for _ in range(TUNING.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         if now is None:
             return None
         information, gradient = equations(now)
@@ -63,7 +64,7 @@ def maximum(
         if not np.all(np.isfinite(scaled)):
             return None
         values, vectors = np.linalg.eigh(scaled)
-        if values[0] <= values[-1] / TUNING.max_condition:
+        if values[0] <= values[-1] / MAX_CONDITION:
             return None
         vectors *= scale[:, None]
         covariance = np.asarray((vectors / values) @ vectors.T)

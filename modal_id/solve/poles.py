@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modal_id.data import FitData
 from modal_id.solve.cholesky import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, projected_grams, solve_linear
-from modal_id.solve.maximum import shortened
+from modal_id.solve.maximum import MAX_ITERATIONS, shortened
 from modal_id.solve.waves import ModeColumns, TimesTime, motion
 from modal_id.solve.weighting import LongArray
 from tracker import ComplexArray, FloatArray
@@ -57,25 +57,21 @@ def normal_equations(
 class Tuning:
     """Convergence of the poles."""
 
-    #: [1] largest number of iterations for a result
-    max_iterations: int = 40
-    #: [1] largest number of iterations in a search
-    search_iterations: int = 15
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.
     step_tolerance: float = 2e-3
     #: [sd] step that is negligible where a fit is refined later
     rough_tolerance: float = 0.05
-    #: [1] largest logarithm of the growth over the record
-    #: physics: More than exp(300) would overflow.
-    most_growth: float = 300.0
-    #: [1] largest decay rate per sample
-    #: physics: A motion that decays faster leaves one sample.
-    most_rate_per_sample: float = 3.0
 
 
 TUNING = Tuning()
 _STEP_TOLERANCE = TUNING.step_tolerance
+
+# Largest logarithm of the growth over the record: products of four such waves do not overflow.
+MOST_GROWTH = 0.25 * float(np.log(np.finfo(float).max))
+# Largest decay rate per sample, that of critical damping at half the sampling rate: a motion that decays faster leaves
+# one sample.
+MOST_RATE_PER_SAMPLE = np.pi
 
 
 @dataclass(frozen=True)
@@ -144,22 +140,22 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2 and search:
-        return gauss_newton(problem, start, TUNING.search_iterations, TUNING.rough_tolerance)
+        return gauss_newton(problem, start, tolerance=TUNING.rough_tolerance)
     if factor < 2:
-        return gauss_newton(problem, start, TUNING.max_iterations)
-    coarse = gauss_newton(problem.thinned(factor), start, TUNING.max_iterations, TUNING.rough_tolerance)
+        return gauss_newton(problem, start)
+    coarse = gauss_newton(problem.thinned(factor), start, tolerance=TUNING.rough_tolerance)
     good = bool(np.all(np.isfinite(coarse.poles)))
     if search and good:
         linear = solve_linear(problem, ModeColumns(problem.data.time_s, coarse.poles))
         return replace(coarse, linear=linear)
-    return gauss_newton(problem, coarse.poles if good else start, TUNING.max_iterations)
+    return gauss_newton(problem, coarse.poles if good else start)
 
 
 def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
     """Poles from averages of neighbouring samples only: starting values for a joint fit with other modes."""
     factor = thinning(problem.data.time_s, start)
     coarse = problem if factor < 2 else problem.thinned(factor)
-    return gauss_newton(coarse, start, TUNING.search_iterations, TUNING.rough_tolerance).poles
+    return gauss_newton(coarse, start, tolerance=TUNING.rough_tolerance).poles
 
 
 def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
@@ -172,7 +168,10 @@ def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
 
 
 def gauss_newton(
-    problem: Problem, start: ComplexArray, max_iterations: int, tolerance: float = _STEP_TOLERANCE
+    problem: Problem,
+    start: ComplexArray,
+    max_iterations: int = MAX_ITERATIONS,
+    tolerance: float = _STEP_TOLERANCE,
 ) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
 
@@ -198,7 +197,7 @@ def gauss_newton(
             break
         moved = _line_search(problem, poles, linear, step)
         if moved is None:
-            converged = bool(np.max(size) < 0.05)
+            converged = bool(np.max(size) < TUNING.rough_tolerance)
             break
         poles, linear = moved
     return PoleFit(poles, linear, covariance, converged)
@@ -218,7 +217,7 @@ def _line_search(
     # The linearisation does not hold for a phase change of more than a radian over the record.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
     change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
-    least, most = -TUNING.most_rate_per_sample / data.step_s, TUNING.most_growth / max(data.span_s, 1e-300)
+    least, most = -MOST_RATE_PER_SAMPLE / data.step_s, MOST_GROWTH / max(data.span_s, 1e-300)
     now = objective(data, linear)
 
     def trial(shorter: ComplexArray) -> tuple[ComplexArray, LinearSolution] | None:

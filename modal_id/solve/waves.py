@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data import FEW_VALUES
 from modal_id.solve.weighting import BLOCK_ROWS, LongArray
 from tracker import ComplexArray, FloatArray
 
@@ -22,15 +23,11 @@ class Tuning:
     #: [rad] error of phase up to which times count as even
     #: physics: Far below the noise of a sample.
     even: float = 1e-9
-    #: [1] number of values up to which the functions are held for all samples
-    #: convention: Limits the memory.
-    few_values: int = 500_000
 
 
 TUNING = Tuning()
 
-# Samples of a block whose times are multiples of the step, and the largest error of phase in radians up to which times
-# count as even.
+# Samples of a block whose times are multiples of the step.
 _BLOCK = 512
 
 Rows = slice | NDArray[np.intp]
@@ -60,7 +57,7 @@ class ModeColumns:
 
     def __getitem__(self, rows: Rows) -> FloatArray:
         """Some rows of the columns."""
-        few = self.time_s.size * self.poles.size <= TUNING.few_values
+        few = self.time_s.size * self.poles.size <= FEW_VALUES
         return real_columns(self._all[rows] if few else self.functions(rows))
 
     def functions(self, rows: Rows) -> ComplexArray:
