@@ -18,13 +18,6 @@ from tracker import FloatArray
 class Tuning:
     """Laws of the damping and their average."""
 
-    #: [1] prior sd of the change of the decay rate over all amplitudes, over the rate
-    law_decay_change: float = 2.0
-    #: [1] prior sd of the change of the frequency over all amplitudes, over the frequency
-    law_angular_change: float = 0.02
-    #: [1] log odds against a law from which it is left out of the average
-    #: physics: exp(-40) of the weight.
-    negligible: float = 40.0
     #: [1] number of points of the amplitude curve
     points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
@@ -38,7 +31,8 @@ class Tuning:
 TUNING = Tuning()
 _ADEQUATE = TUNING.adequate
 
-# The same for splines and for stiffness alone, which are averaged over these scales.
+# Prior sds of the changes over all amplitudes, relative to decay rate and frequency, over which splines and laws of
+# stiffness alone are averaged; of the others, the largest.
 _DECAY_SCALES = (0.1, 0.4, DECAY_CHANGE)
 _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Starting values of the powers of a saturating law.
@@ -68,7 +62,7 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
     fits = _all_fits(track, flexible, constant)
     best = max(fits, key=_log_weight)
     final = track.with_noise_around(best[1])
-    again = [(prior, final.fit(fit.law, fit.parameters)) for prior, fit in fits if _near(best, (prior, fit))]
+    again = [(prior, final.fit(fit.law, fit.parameters)) for prior, fit in fits]
     fits = [(prior, fit) for prior, fit in again if fit is not None] or [best]
     weights = np.exp(np.array([_log_weight(fit) for fit in fits]) - max(map(_log_weight, fits)))
     weights /= np.sum(weights)
@@ -102,10 +96,6 @@ def _log_weight(fit: tuple[float, LawFit]) -> float:
     return fit[0] + fit[1].log_evidence
 
 
-def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
-    return _log_weight(best) - _log_weight(fit) < TUNING.negligible
-
-
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:
     """(logarithm of the prior probability, fit) of each law; the scales of a law share one probability.
 
@@ -117,7 +107,7 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
     spline = flexible.law
     assert isinstance(spline, SplineLaw)  # noqa: S101 - `follow` fits no other
     at = spline.rates(spline.knot_amplitudes, flexible.parameters)
-    decay_sd, angular_sd = TUNING.law_decay_change * track.decay, TUNING.law_angular_change * track.angular
+    decay_sd, angular_sd = DECAY_CHANGE * track.decay, ANGULAR_CHANGE * track.angular
     change = [float(at.decay[-1] - at.decay[1]), float(at.angular[-1] - at.angular[1])]
     small = [float(at.decay[1]), float(at.angular[1])]
     for powers in ((1.0, 2.0), (1.0, 1.0), (2.0, 2.0)):

@@ -24,8 +24,6 @@ class Tuning:
     far: float = 1e4
     #: [1] factor on the depth where it does not suffice
     deeper: float = 1.5
-    #: [1] largest number of times that the depth is increased
-    attempts: int = 8
 
 
 TUNING = Tuning()
@@ -111,7 +109,7 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
     # Depths in steps: small changes of the parameters leave the points of the quadrature unchanged.
     steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(TUNING.deeper)
     depth = min(float(TUNING.deeper ** np.ceil(steps)), TUNING.deepest)
-    for _ in range(TUNING.attempts):
+    while True:
         u = np.linspace(0.0, -depth, _POINTS)
         if depth == TUNING.deepest:
             # One interval of constant rates to the end of any record.
@@ -128,7 +126,6 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
         if reached < _POINTS or depth == TUNING.deepest:
             return None
         depth = min(TUNING.deeper * depth, TUNING.deepest)
-    return None
 
 
 def _integral(u: FloatArray, values: FloatArray) -> FloatArray:

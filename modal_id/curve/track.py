@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from modal_id.curve.law_fit import LawFit, fit_law, wave_of_law
 from modal_id.curve.laws import Law, SplineLaw
-from modal_id.data import FitData
-from modal_id.fit import ModalFit
-from modal_id.solve import Problem, frequency_hz, own_problem
+from modal_id.data import MIN_SAMPLES, FitData
+from modal_id.fit import LEAST_SAMPLES, ModalFit
+from modal_id.solve import MAX_CONDITION, Problem, frequency_hz, own_problem
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -19,20 +19,11 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Blocks, and the flexible law, of the amplitude curve."""
 
-    #: [cycles] shortest block
-    cycles: float = 2.0
+    #: [cycles] shortest part of a record in which a mode is told from slow motion
+    #: physics: In one cycle, no bin above zero lies below the frequency of the mode.
+    least_cycles: float = 2.0
     #: [1] largest number of blocks
     max_blocks: int = 300
-    #: [samples] fewest samples of a block
-    least_samples: int = 8
-    #: [1] condition number above which a block is left out
-    #: physics: Rounding of 1e-16 leaves eight digits.
-    max_condition: float = 1e8
-    #: [1] reference over its largest value below which a block contains nothing of the mode
-    #: physics: Above rounding.
-    faded: float = 1e-12
-    #: [blocks] fewest blocks
-    least_blocks: int = 12
     #: [sd] amplitude below which the blocks that follow are no longer used
     least_snr: float = 4.0
     #: [1] sum of squared amplitudes over noise variance, to the end, that determines the rates
@@ -51,6 +42,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+LEAST_CYCLES = TUNING.least_cycles
 
 
 # Samples whose columns are held at a time.
@@ -91,7 +83,7 @@ def split_into_blocks(
     """
     data = problem.data
     time_s = data.time_s
-    cycles = max(TUNING.cycles, np.ceil(data.span_s * frequency_hz / TUNING.max_blocks))
+    cycles = max(LEAST_CYCLES, np.ceil(data.span_s * frequency_hz / TUNING.max_blocks))
     number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     at_once = max(1, _SAMPLES * (edges.size - 1) // number.size)
@@ -102,7 +94,8 @@ def split_into_blocks(
         whole_s = 0.8 * cycles / frequency_hz
         parts.append(_fit(data.rows(rows), own - own[0], reference[rows], shape, noise_variance, whole_s))
     total, weight, scale, mean_s = (np.concatenate(part) for part in zip(*parts, strict=True))
-    used = (weight > 0.0) & (scale > TUNING.faded * np.max(scale))
+    # Where the reference is lost in rounding, a block contains nothing of the mode.
+    used = (weight > 0.0) & (scale > np.finfo(float).eps * np.max(scale))
     total, weight, scale = total[used], weight[used], scale[used]
     return Blocks(mean_s[used], np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))
 
@@ -121,7 +114,7 @@ def _fit(
     """
     time_s, starts, count = data.time_s, edges[:-1], np.diff(edges)
     first, last = time_s[starts], time_s[starts + count - 1]
-    whole = (count >= TUNING.least_samples) & (last - first >= whole_s)
+    whole = (count >= LEAST_SAMPLES) & (last - first >= whole_s)
     scale = np.maximum(np.maximum.reduceat(np.abs(reference), starts), 1e-300)
     wave = reference / np.repeat(scale, count)
     since = (time_s - np.repeat(0.5 * (first + last), count)) / np.repeat(
@@ -158,9 +151,9 @@ def _inverses(
         own = columns[:, row] * weights
         normal[:, row, row:] = _block_sums(own[:, None] * columns[:, row:], starts)
         normal[:, row:, row] = normal[:, row, row:]
-    enough = np.add.reduceat((weights > 0.0).astype(np.intp), starts) >= TUNING.least_samples
+    enough = np.add.reduceat((weights > 0.0).astype(np.intp), starts) >= LEAST_SAMPLES
     normal[~enough] = np.eye(p)
-    known = enough & (np.linalg.cond(normal) <= TUNING.max_condition)
+    known = enough & (np.linalg.cond(normal) <= MAX_CONDITION)
     normal[~known] = np.eye(p)
     return np.asarray(np.linalg.inv(normal), dtype=float), np.asarray(known, dtype=bool)
 
@@ -264,7 +257,7 @@ class _Seen:
         if not np.all(np.isfinite(wave)):
             return None
         blocks = split_into_blocks(self.alone, wave, self.shape, self.noise_variance, frequency)
-        if blocks.time_s.size < TUNING.least_blocks:
+        if blocks.time_s.size < MIN_SAMPLES:
             return None
         phase = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
         at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(1j * phase)
@@ -272,7 +265,7 @@ class _Seen:
         between = _between_neighbours(blocks.ratio) * np.abs(at) ** 2
         loud = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > TUNING.least_snr
         last = int(np.argmin(np.append(loud, False)))
-        if last < TUNING.least_blocks:
+        if last < MIN_SAMPLES:
             return None
         known = (
             between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]

@@ -1,11 +1,16 @@
 from . import position_errors as position_errors
+from .amplitude_dependence import DECAY_TIMES as DECAY_TIMES
 from .amplitude_dependence import AmplitudeFit as AmplitudeFit
 from .amplitude_dependence import fit_amplitude_dependence as fit_amplitude_dependence
 from .amplitude_dependence import nonlinear_decay as nonlinear_decay
 from .amplitude_dependence import with_constant_pole as with_constant_pole
+from .damped import LEAST_SAMPLES as LEAST_SAMPLES
 from .damped import MAX_DAMPING as MAX_DAMPING
+from .modal_fit import OWN_BAND as OWN_BAND
 from .modal_fit import ModalFit as ModalFit
 from .modal_fit import own_decay as own_decay
+from .model_order import FALSE_ALARM as FALSE_ALARM
+from .model_order import HIGHEST_OVERTONE as HIGHEST_OVERTONE
 from .model_order import find_modes as find_modes
 from .model_order import refit as refit
 from .named_lines import with_named as with_named
@@ -13,6 +18,9 @@ from .position_errors import Omissions as Omissions
 from .position_errors import with_rounding_errors as with_rounding_errors
 from .position_errors import with_scale_errors as with_scale_errors
 from .position_errors import without_repeating_errors as without_repeating_errors
+from .spectrum import EVEN_STEPS as EVEN_STEPS
+from .spectrum import LEAST_WINDOW as LEAST_WINDOW
+from .spectrum import SAME_LINE as SAME_LINE
 from .spectrum import Candidate as Candidate
 from .spectrum import ResidualSpectrum as ResidualSpectrum
 from .spectrum import candidates as candidates

@@ -13,6 +13,8 @@ from modal_id.data import FitData
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit, own_decay
 from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
 from modal_id.solve import (
+    MOST_GROWTH,
+    MOST_RATE_PER_SAMPLE,
     Beside,
     LinearSolution,
     ModeColumns,
@@ -39,26 +41,18 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Pairs of close modes."""
 
-    #: [1] distance from the fitted mode, over its frequency, within which a pair is tried
-    #: convention: The selection of the order covers the rest.
-    reach: float = 0.04
-    #: [1] largest number of iterations of the fit of a pair
-    iterations: int = 30
-    #: [decay times] time that sets half the distance of the starting values where the record is longer
+    #: [decay times] length of the part of a record in which a mode is seen
+    #: physics: It contains 99.8 % of the energy of the mode.
     decay_times: float = 3.0
-    #: [1] amplitude of a second mode over the first below which there is no pair
-    least_amplitude: float = 0.01
     #: [1] amplitude over that of the other mode from which both of a pair count
     comparable: float = 0.25
-    #: [1] score of what the amplitude-dependent mode leaves, below which no pair is needed
-    #: statistics: The largest of 20 bins of noise.
-    least_misfit: float = 0.25
     #: [1] factor on p log(n) of the information criterion for a pair
     #: convention: 25 % more, because several starting values are tried.
     caution: float = 1.25
 
 
 TUNING = Tuning()
+DECAY_TIMES = TUNING.decay_times
 
 # Samples of a block at whose beginning the integrals are kept.
 _BLOCK = 4096
@@ -144,10 +138,9 @@ def nonlinear_decay(
     -----
     ``a^q = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-q p0 t)``, solves ``da/dt = -(p0 + p2 a^q) a`` with a(0) = 1.
     """
-    if np.any(-float(parameters[0]) * time_s[[0, -1]] > 300.0):
+    if np.any(-float(parameters[0]) * time_s[[0, -1]] > MOST_GROWTH):
         return None
-    # Faster than critical damping at half the sampling rate: no sample after the first determines the amplitudes.
-    if float(parameters[0]) * (time_s[-1] - time_s[0]) > np.pi * (time_s.size - 1):
+    if float(parameters[0]) * (time_s[-1] - time_s[0]) > MOST_RATE_PER_SAMPLE * (time_s.size - 1):
         return None
     time_s, parameters = np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float)
     state = np.zeros(7)
@@ -306,9 +299,10 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     `spectrum` is that of the residual of all modes.
     """
     frequency = float(frequency_hz(fit.poles)[mode])
-    half = max(TUNING.reach * frequency, 2.5 / problem.data.span_s)
+    # The selection of the order covers the rest.
+    half = max(OWN_BAND * frequency, 2.5 / problem.data.span_s)
     rate = abs(float(fit.poles[mode].real))
-    if rate * problem.data.span_s > 4.0 * TUNING.decay_times:
+    if rate * problem.data.span_s > 4.0 * DECAY_TIMES:
         spectrum = _of_decay(problem.data, fit.linear, rate)
     if spectrum.misfit_score(frequency, half) < 1.0:
         return None
@@ -316,14 +310,12 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     alone = own_problem(problem, fit, mode)
     factor = thinning(alone.data.time_s, pole)
     alone = alone if factor < 2 else alone.thinned(factor)
-    single = gauss_newton(alone, pole, TUNING.iterations)
+    single = gauss_newton(alone, pole)
     pair = _best_pair(alone, pole[0], half)
     if pair is None:
         return None
     amplitude_fit = fit_amplitude_dependence(alone, single, 0)
     one = single.linear if amplitude_fit is None else amplitude_fit.linear
-    if _of_decay(alone.data, one, rate).misfit_score(frequency, half) < TUNING.least_misfit:
-        return None
     if not _better(alone, pair.linear, single.linear, frequency, 2) or not _better(
         alone, pair.linear, one, frequency, 2 if amplitude_fit is None else 0
     ):
@@ -334,7 +326,7 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
 
 def _of_decay(data: FitData, linear: LinearSolution, rate_per_s: float) -> ResidualSpectrum:
     """Spectrum of the residual during the decay: noise long after the decay would hide its misfit."""
-    part = data.rows(data.time_s < 2.0 * TUNING.decay_times / max(rate_per_s, 1e-300))
+    part = data.rows(data.time_s < 2.0 * DECAY_TIMES / max(rate_per_s, 1e-300))
     return residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
 
 
@@ -357,14 +349,14 @@ def are_resolved(poles: ComplexArray, span_s: float) -> bool:
 def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
     centre = float(frequency_hz(pole))
     # In a record much longer than the decay, only the decay distinguishes frequencies.
-    span = min(alone.data.span_s, TUNING.decay_times / max(abs(pole.real), 1e-300))
+    span = min(alone.data.span_s, DECAY_TIMES / max(abs(pole.real), 1e-300))
     strongest = _strongest_hz(alone, centre, half_hz)
     found: list[PoleFit] = []
     for middle in (centre, strongest):
         for guess in _GUESSES:
             offset_rad_s = 2.0 * np.pi * guess / span
             start = -1.0 / span + 2j * np.pi * middle + 1j * offset_rad_s * np.array([-1.0, 1.0])
-            fit = gauss_newton(alone, start, TUNING.iterations)
+            fit = gauss_newton(alone, start)
             if _is_plausible(fit, centre, half_hz):
                 found.append(fit)
     return min(found, key=lambda fit: float(np.sum(fit.linear.rss)), default=None)
@@ -380,11 +372,8 @@ def _strongest_hz(alone: Problem, centre_hz: float, half_hz: float) -> float:
 def _is_plausible(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
     if not np.all(np.isfinite(fit.poles)) or fit.poles.size != 2:
         return False
-    size = np.max(np.abs(fit.linear.amplitudes), axis=1)
     near = np.all(np.abs(frequency_hz(fit.poles) - centre_hz) < half_hz)
-    return bool(
-        near and np.all(fit.poles.real < 0.0) and np.min(size) > TUNING.least_amplitude * np.max(size)
-    )
+    return bool(near and np.all(fit.poles.real < 0.0))
 
 
 def _better(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines, rough_variance
-from modal_id.fit.spectrum import Candidate, nyquist_hz, power_spectrum, residual_spectrum
+from modal_id.fit.spectrum import LEAST_WINDOW, Candidate, nyquist_hz, power_spectrum, residual_spectrum
 from modal_id.solve import (
     LinearSolution,
     ModeColumns,
@@ -24,6 +24,7 @@ from modal_id.solve import (
     objective,
     rough_poles,
     solve_linear,
+    thinning,
 )
 from tracker import ComplexArray, FloatArray
 
@@ -53,20 +54,15 @@ class Tuning:
     #: [decay times] length of the part that is searched for a wave
     #: physics: exp(-10) of its energy is left.
     decay_times: float = 5.0
-    #: [1] largest decay rate over the Nyquist rate
-    max_rate_per_nyquist: float = 0.8
-    #: [samples] samples per cycle to which the record is thinned
-    samples_per_cycle: float = 8.0
-    #: [samples] fewest samples of a part that is searched
-    min_samples: int = 8
-    #: [1] largest number of candidates that are scored by a fit
-    scored: int = 32
+    #: [samples] fewest samples of a part to which a wave is fitted
+    least_samples: int = 8
     #: [sd] power of the first samples above that of noise from which waves are looked for
     #: statistics: Six standard deviations of a chi-square: chance is negligible.
     excess: float = 6.0
 
 
 TUNING = Tuning()
+LEAST_SAMPLES = TUNING.least_samples
 
 
 _ZETA_RANGE = (0.02, 0.8)
@@ -177,7 +173,7 @@ def damped_score(
     Scaled like ``Candidate.score``: significant above 1.
     """
     last = data.time_s[0] - 3.0 / pole.real
-    count = max(int(np.searchsorted(data.time_s, last, side="right")), min(TUNING.scored, data.time_s.size))
+    count = max(int(np.searchsorted(data.time_s, last, side="right")), min(LEAST_WINDOW, data.time_s.size))
     data, k, line_hz = data.rows(slice(0, count)), before.shape[1], pole.imag / (2.0 * np.pi)
     frequency, taken = power_spectrum(data.time_s, (before - after)[:count], data.weights, variance)
     left = residual_spectrum(data, after[:count], variance)
@@ -194,7 +190,7 @@ def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> 
     nyquist = nyquist_hz(data.time_s)
     found = []
     rate = 4.0 / data.span_s
-    while rate < TUNING.max_rate_per_nyquist * 2.0 * np.pi * nyquist:
+    while beginning(data, rate).time_s.size >= LEAST_SAMPLES:
         best = _best_wave(motion, rate, max(lowest_hz, 0.5 * rate / (2.0 * np.pi)), nyquist)
         if best is not None:
             found.append(best)
@@ -211,13 +207,11 @@ def _best_wave(data: FitData, rate: float, lowest_hz: float, nyquist: float) -> 
     half_width = rate / (2.0 * np.pi)
     first = max(lowest_hz, half_width * float(np.sqrt(_ZETA_RANGE[1] ** -2 - 1.0)))
     grid = np.arange(first, min(nyquist, half_width / _ZETA_RANGE[0]), TUNING.frequency_step * half_width)
-    part = beginning(data, rate)
-    if grid.size == 0 or part.time_s.size < TUNING.min_samples:
+    if grid.size == 0:
         return None
-    factor = int(1.0 / (TUNING.samples_per_cycle * grid[-1] * data.step_s))
-    if factor > 1:
-        part = Problem(part, np.ones((part.time_s.size, 1))).thinned(factor).data
-    explained = _explained(part, np.asarray(-rate + 2j * np.pi * grid, dtype=np.complex128))
+    part, waves = beginning(data, rate), np.asarray(-rate + 2j * np.pi * grid, dtype=np.complex128)
+    factor = thinning(part.time_s, waves)
+    explained = _explained(part.averaged(factor) if factor > 1 else part, waves)
     return Candidate(float(grid[np.argmax(explained)]), rate, 0.0)
 
 

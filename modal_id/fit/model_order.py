@@ -21,7 +21,7 @@ from modal_id.data import (
 from modal_id.fit.amplitude_dependence import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit
-from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
+from modal_id.fit.spectrum import SAME_LINE, Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
 from modal_id.solve import (
     LinearSolution,
     ModeColumns,
@@ -44,12 +44,6 @@ class Tuning:
 
     #: [1] largest number of lines removed
     most_lines: int = 4
-    #: [1] half-width of the band about a removed line, over its frequency, in which no other is looked for
-    half_width: float = 0.01
-    #: [1] reach of the fit of a line, over its frequency
-    reach: float = 0.05
-    #: [1] largest damping ratio of such a line
-    max_damping: float = 0.5
     #: [1] share of the noise level at a mode that slow motion may contribute
     leak: float = 0.02
     #: [cycles] number of cycles below which a motion may be a swing on soft supports or by hand
@@ -57,8 +51,8 @@ class Tuning:
     #: [1] largest frequency of a swing over that of the lowest mode
     #: physics: A beam's first mode lies at a sixth of the second.
     far_below: float = 0.1
-    #: [1] damping ratio from which a low frequency with few cycles is a swing
-    #: convention: A beam's first mode is weakly damped.
+    #: [1] damping ratio from which a mode is strongly damped
+    #: convention: That of a beam is weakly damped.
     strongly_damped: float = 0.02
     #: [1] largest number of splines of the slow motion
     max_splines: int = 300
@@ -68,32 +62,21 @@ class Tuning:
     #: [1] largest number of rounds of outlier rejection
     #: convention: Samples at the limit may alternate forever.
     max_cleanings: int = 2
-    #: [1] largest number of times that the band of slow motion is widened
-    most_widenings: int = 12
     #: [1] probability that noise alone gives a further mode
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
-    #: [1] share of its frequency by which another mode may move when one is added
-    most_moved: float = 0.02
-    #: [1] least damping ratio of a strongly damped mode beside other modes
-    damped_zeta: float = 0.02
-    #: [1] least amplitude of such a mode over the largest amplitude
+    #: [1] least amplitude of a strongly damped mode beside others over the largest amplitude
     #: convention: What a release and errors of the other modes leave at the beginning is weaker.
     least_damped: float = 0.05
     #: [1] largest number of strongly damped modes tried beside others
     damped_trials: int = 3
-    #: [1] overtone that may be the highest line of a wave whose tops are missing on one side
-    #: physics: Only such a wave has even overtones.
-    even_overtone: int = 2
-    #: [1] the same of a wave whose tops are missing on both sides
-    #: physics: It has odd overtones only.
-    odd_overtone: int = 3
-    #: [1] the highest overtone that is tried
+    #: [1] the highest overtone that is tried as the highest line of a wave whose tops are missing
     #: convention: Higher ones are weaker.
     highest_overtone: int = 5
 
 
 TUNING = Tuning()
+FALSE_ALARM, HIGHEST_OVERTONE = TUNING.false_alarm, TUNING.highest_overtone
 
 
 def without_outliers(
@@ -116,11 +99,10 @@ def without_outliers(
         if not found:
             break
         line = found[0]
-        excluded.append(Band(line.frequency_hz, TUNING.half_width * line.frequency_hz))
+        excluded.append(Band(line.frequency_hz, SAME_LINE * line.frequency_hz))
         problem = Problem(replace(data, values=within), np.ones((data.time_s.size, 1)))
-        pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
-        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < TUNING.reach
-        if not near or not 0.0 < float(damping_ratio(pole)[0]) < TUNING.max_damping:
+        pole = rough_poles(problem, start_pole(line))
+        if not _is_plausible(complex(pole[0]), line, data):
             continue
         amplitudes = solve_linear(problem, ModeColumns(data.time_s, pole)).amplitudes
         residual = residual - motion(data.time_s, pole, amplitudes)
@@ -187,7 +169,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
         return None
     search = _Search(data.weights, max_modes, lowest_hz)
     finished = False
-    for _ in range(3 * max_modes + TUNING.most_widenings):
+    for _ in range(3 * max_modes):
         if finished:
             break
         current, finished = search.step(current)
@@ -262,9 +244,9 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     start = solve_linear(Problem(data, line), no_columns(data.time_s))
     excluded: list[Band] = []
     # Where samples are missing, such as the tops of a clipped wave, the highest line of a spectrum may be an overtone.
-    overtones: tuple[int, ...] = ()
+    overtones = range(0)
     if np.any(data.weights == 0.0):
-        overtones = (TUNING.even_overtone, TUNING.odd_overtone, TUNING.highest_overtone)
+        overtones = range(2, HIGHEST_OVERTONE + 1)
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
@@ -275,7 +257,7 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
                 lower = [_alone(data, replace(candidate, frequency_hz=_hz(first) / n)) for n in overtones]
                 waves = [w for w in lower if w is not None and _is_overtone(_hz(first) / _hz(w))]
                 return min([first, *waves], key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
-        excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
+        excluded += [Band(c.frequency_hz, SAME_LINE * c.frequency_hz) for c in found]
     damped = fit_damped(data, start.residual, lowest_hz)
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
 
@@ -342,7 +324,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     if not found:
         return None
     candidate = found[0]
-    band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
+    band = Band(candidate.frequency_hz, SAME_LINE * candidate.frequency_hz)
     left = Problem(replace(data, values=residual), model.problem.baseline)
     alone = rough_poles(left, start_pole(candidate))
     if not _is_plausible(complex(alone[0]), candidate, data):
@@ -364,7 +346,7 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
     """
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
-    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > TUNING.most_moved
+    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > OWN_BAND
     if np.any(moved):
         joint = refit(model, np.concatenate([fit.poles[~moved], line]), model.data, search=True)
         gain = np.sum((fit.linear.rss - joint.fit.linear.rss) / fit.linear.noise_variance)
@@ -383,13 +365,13 @@ def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
         hz = frequency_hz(joint.fit.poles)
         pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
         apart = np.abs(hz[:-1] / hz[-1] - 1.0) > OWN_BAND
-        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > TUNING.most_moved
+        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > OWN_BAND
         if (
             joint.fit.converged
             and np.all(apart)
             and not np.any(moved)
             and strength[-1] > TUNING.least_damped * np.max(strength)
-            and TUNING.damped_zeta < float(damping_ratio(pole)) < MAX_DAMPING
+            and TUNING.strongly_damped < float(damping_ratio(pole)) < MAX_DAMPING
             and lowest < hz[-1] < nyquist_hz(data.time_s)
             and is_significant(model, joint)
             and is_above_noise(data, fit.linear.residual, joint.fit.linear, pole)
@@ -417,7 +399,7 @@ def is_significant(
     more = 2.0 + 2.0 * k + k * max(splines - before.problem.baseline.shape[1], 0)
     left = float(np.sum(after.data.counts)) - k * splines - (2.0 + 2.0 * k) * after.fit.poles.size
     chance = float(fdtrc(more, min(max(left, 1.0), level_dof), max(drop, 0.0) / more))
-    return chance * after.data.time_s.size * tries < TUNING.false_alarm
+    return chance * after.data.time_s.size * tries < FALSE_ALARM
 
 
 def start_pole(candidate: Candidate) -> NDArray[np.complex128]:

@@ -20,7 +20,7 @@ from modal_id.fit.model_order import (
     start_pole,
     with_line,
 )
-from modal_id.fit.spectrum import LEVEL_BINS, Band, highest_near, nyquist_hz
+from modal_id.fit.spectrum import LEVEL_BINS, SAME_LINE, Band, highest_near, nyquist_hz
 from modal_id.sentences import Reason, Refusal
 from modal_id.solve import (
     ModeColumns,
@@ -40,9 +40,7 @@ from tracker import ComplexArray
 class Tuning:
     """Lines whose frequency is given."""
 
-    #: [1] relative distance from a given frequency within which a line has that name
-    named: float = 0.01
-    #: [bins] the same, where a bin is 1 / span of the record
+    #: [bins] distance from a given frequency within which a line has that name, where a bin is 1 / span of the record
     #: physics: The resolution of the record.
     named_bins: float = 2.0
     #: [1] damping ratio above which it is no line
@@ -98,7 +96,7 @@ def _joint(model: ModalFit, hz: float) -> ModalFit | None:
     """The model with a mode near a frequency; None where noise explains it."""
     data, linear = model.data, model.fit.linear
     left = Problem(replace(data, values=linear.residual), model.problem.baseline)
-    tried = highest_near(data, linear.residual, linear.noise_variance, Band(hz, TUNING.named * hz))
+    tried = highest_near(data, linear.residual, linear.noise_variance, Band(hz, SAME_LINE * hz))
     starts = [rough_poles(left, start_pole(candidate)) for candidate in tried]
     starts = [start for start in starts if _is_near(complex(start[0]), hz, data)]
     if not starts:
@@ -121,7 +119,7 @@ def _is_near(pole: complex, hz: float, data: FitData) -> bool:
 
 
 def _reach_hz(hz: float, data: FitData) -> float:
-    return max(TUNING.named * hz, TUNING.named_bins / max(data.span_s, 1e-300))
+    return max(SAME_LINE * hz, TUNING.named_bins / max(data.span_s, 1e-300))
 
 
 def _still(data: FitData, lowest_hz: float) -> ModalFit:

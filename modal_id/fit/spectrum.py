@@ -23,7 +23,8 @@ class Tuning:
     """Levels of the noise, and windows in which modes are looked for."""
 
     #: [steps] largest distance of a sample from its place on an even grid
-    even: float = 1e-3
+    #: physics: One step is half a cycle at most: the power there changes by (0.01 pi)^2 = 0.1 %.
+    even: float = 0.01
     #: [bins] width of the wide window for the noise level
     wide_bins: int = 61
     #: [bins] width of the narrow window for the noise level
@@ -35,9 +36,12 @@ class Tuning:
     #: [samples] shortest beginning of a record that is searched
     #: convention: In fewer the level of the noise is too uncertain.
     min_window_samples: int = 64
+    #: [1] relative distance of frequencies within which lines are one
+    same: float = 0.01
 
 
 TUNING = Tuning()
+EVEN_STEPS, SAME_LINE, LEAST_WINDOW = TUNING.even, TUNING.same, TUNING.min_window_samples
 
 
 _WIDE_BINS = TUNING.wide_bins
@@ -127,7 +131,7 @@ def _grids(
     """Normalised values of each channel on a grid, the length to which they are padded, and the grid's step."""
     position = (time_s - time_s[0]) / step
     cell = np.rint(position)
-    is_even = bool(np.max(np.abs(position - cell), initial=0.0) < TUNING.even)
+    is_even = bool(np.max(np.abs(position - cell), initial=0.0) < EVEN_STEPS)
     if not is_even:
         step *= 0.5
         position *= 2.0
@@ -273,7 +277,7 @@ def _windows(
     """Spectrum of the whole residual and of its beginnings, each with its duration in s."""
     for fraction in _WINDOW_FRACTIONS:
         count = _window(data, fraction)
-        if count < min(TUNING.min_window_samples, data.time_s.size):
+        if count < min(LEAST_WINDOW, data.time_s.size):
             continue
         seen = spectrum if fraction == 1.0 else None
         if seen is None:

@@ -10,6 +10,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, svd
 
 from modal_id.data import FitData
+from modal_id.fit.damped import MAX_DAMPING
+from modal_id.fit.spectrum import SAME_LINE
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -29,15 +31,8 @@ class Tuning:
     #: [1] largest number of channels used
     #: physics: More would shorten the block rows below a cycle of the lowest mode.
     max_channels: int = 8
-    #: [samples] number of samples from which the channels are chosen
-    #: convention: They suffice for it.
-    choosing_samples: int = 4096
     #: [1] largest order of the state
     max_order: int = 40
-    #: [1] largest damping ratio of a pole
-    max_damping: float = 0.9
-    #: [1] relative distance of frequencies of successive orders within which a pole is stable
-    near: float = 0.01
     #: [1] successive orders, two states apart, in which a stable pole must occur
     least_run: int = 5
     #: [1] largest relative difference of the damping ratios of a stable pole in successive orders
@@ -66,7 +61,7 @@ class StabilityDiagram:
 
         A pole is stable when its damping ratio changes by less than 20 % from one order to the next.
         """
-        near = max(TUNING.near * frequency, 0.5 / self.span_s)
+        near = max(SAME_LINE * frequency, 0.5 / self.span_s)
         longest = current = 0
         before = np.empty(0)
         for poles in self.poles:
@@ -81,7 +76,7 @@ class StabilityDiagram:
         """Mask of the poles of one order which the order before has, too: frequency within 1 %, damping within 20 %."""
         poles, before = self.poles[index], self.poles[max(index - 1, 0)]
         hz, damping = frequency_hz(poles)[:, None], damping_ratio(poles)[:, None]
-        near = np.abs(hz - frequency_hz(before)) < np.maximum(TUNING.near * hz, 0.5 / self.span_s)
+        near = np.abs(hz - frequency_hz(before)) < np.maximum(SAME_LINE * hz, 0.5 / self.span_s)
         own = damping_ratio(before)
         steady = np.abs(damping - own) < TUNING.steady * own + TUNING.steady_zeta
         return np.asarray(np.any(near & steady, axis=1) if index else np.zeros(poles.size, dtype=bool))
@@ -125,8 +120,7 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
 
 def _independent_channels(values: FloatArray) -> NDArray[np.intp]:
     """The channel that moves most, then each time the one that differs most from those already chosen."""
-    stride = max(1, values.shape[0] // TUNING.choosing_samples)
-    order = qr(values[::stride], mode="r", pivoting=True, check_finite=False)[-1]
+    order = qr(values, mode="r", pivoting=True, check_finite=False)[-1]
     return np.sort(np.asarray(order[: TUNING.max_channels], dtype=np.intp))
 
 
@@ -166,4 +160,4 @@ def _poles(observed: FloatArray, channels: int, step: float) -> ComplexArray:
     found = np.log(discrete[np.abs(discrete) > 1e-9].astype(complex)) / step
     decaying = (found.imag > 0.0) & (found.real < 0.0)
     found = found[decaying]
-    return np.asarray(found[damping_ratio(found) < TUNING.max_damping])
+    return np.asarray(found[damping_ratio(found) < MAX_DAMPING])

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit, fdtrc
 
-from modal_id.curve import amplitude_curve, explains
+from modal_id.curve import LEAST_CYCLES, amplitude_curve, explains
 from modal_id.data import are_many, outlier_share
-from modal_id.fit import AmplitudeFit, ModalFit, fit_amplitude_dependence
+from modal_id.fit import DECAY_TIMES, FALSE_ALARM, AmplitudeFit, ModalFit, fit_amplitude_dependence
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 from modal_id.solve import damping_ratio, frequency_hz
@@ -19,10 +19,7 @@ from modal_id.solve import damping_ratio, frequency_hz
 class Tuning:
     """What counts as a dependence, and what a record that hides it may have."""
 
-    #: [1] probability that noise alone shows a dependence
-    #: statistics: One mode in a hundred.
-    false_alarm: float = 0.01
-    #: [sd] change over the record that errors which repeat with the motion do not explain
+    #: [sd] difference that its errors do not explain
     #: statistics: 0.3 % exceed it.
     beyond: float = 3.0
     #: [1] prior sd of the slope zeta1 over zeta
@@ -31,16 +28,11 @@ class Tuning:
     #: [1] prior sd of the change of the frequency from small amplitude to that at the start, over the frequency
     #: measurement: The sample beam's modes 2 to 5 fall by 1e-4, a strip of 400 mm at 2 mm in mode 2 by 3e-5.
     frequency_prior: float = 1e-3
-    #: [decay times] length of the stretch in which the residual of a mode without a curve is compared with the noise
-    #: physics: It contains 99.8 % of the energy of the mode.
-    decay_times: float = 3.0
-    #: [cycles] the same, at least
-    #: physics: In one cycle, no bin above zero lies below the frequency of the mode.
-    least_cycles: float = 2.0
-    #: [bins] of 1 / length on either side of the mode
+    #: [bins] of 1 / length of the stretch in which the residual is compared with the noise, on either side of a mode
+    #: without a curve
     #: statistics: The power of seven bins of noise exceeds four times its mean six times in ten million.
     bins: int = 3
-    #: [1] number of such stretches in the record, at least
+    #: [1] number of stretches of this length in the record, at least
     #: statistics: The noise is the median of the later ones, three at least.
     least_stretches: int = 4
     #: [1] power that the fit leaves at a mode, relative to the noise, above which the fit is not adequate
@@ -51,7 +43,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-MUCH_LEFT, LITTLE_DECAY = TUNING.much_left, TUNING.little_decay
+MUCH_LEFT, LITTLE_DECAY, BEYOND_SD = TUNING.much_left, TUNING.little_decay, TUNING.beyond
 
 # Middles of parts of a record, over its length.
 _PARTS = (np.arange(400) + 0.5) / 400
@@ -126,7 +118,7 @@ def left_at_mode(
     linear = own.fit.linear if amplitude_fit is None or not significant else amplitude_fit.linear
     data, pole = own.data, complex(own.fit.poles[0])
     hz = abs(pole.imag) / (2.0 * np.pi)
-    length_s = max(TUNING.decay_times / max(-pole.real, 1e-300), TUNING.least_cycles / max(hz, 1e-300))
+    length_s = max(DECAY_TIMES / max(-pole.real, 1e-300), LEAST_CYCLES / max(hz, 1e-300))
     count = int(data.span_s / length_s)
     if count < TUNING.least_stretches:
         return float("nan")
@@ -149,8 +141,8 @@ def left_at_mode(
 
 def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:
     changes = float(np.ptp(curve.frequency_hz)), float(np.ptp(curve.damping_ratio))
-    beyond = any(change > TUNING.beyond * sd for change, sd in zip(changes, repeating_sd, strict=True))
-    return curve.constant_probability < TUNING.false_alarm and beyond
+    beyond = any(change > BEYOND_SD * sd for change, sd in zip(changes, repeating_sd, strict=True))
+    return curve.constant_probability < FALSE_ALARM and beyond
 
 
 def _linear(
@@ -175,7 +167,7 @@ def _linear(
     # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
-    improves = bool(fdtrc(2.0, noise.dof, statistic) < TUNING.false_alarm)
+    improves = bool(fdtrc(2.0, noise.dof, statistic) < FALSE_ALARM)
     zeta0, zeta0_sd = p[0] / omega, float(np.hypot(sd[0] / omega, beyond[0]))
     averaged = (float("nan"), float("nan"))
     if curve is None and improves:

@@ -9,20 +9,25 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from modal_id.solve import BandedFactor, PoleFit, Problem, mode_functions, own_problem, real_columns
+from modal_id.solve import (
+    RIDGE,
+    BandedFactor,
+    PoleFit,
+    Problem,
+    mode_functions,
+    own_problem,
+    real_columns,
+)
 from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Rounding, and waves that have decayed."""
+    """Waves that have decayed."""
 
     #: [decay times] blocks that begin later are not added to the moments of a wave
     #: physics: It has fallen by exp(-30).
     decay_times: float = 30.0
-    #: [1] ridge added to the inner products, over the largest of them
-    #: physics: Rounding errors may leave no more.
-    ridge: float = 1e-13
 
 
 TUNING = Tuning()
@@ -368,7 +373,7 @@ def reduction(problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp]
         slow = baseline.factor.whiten(cross)
         mixed = slow[:, :o]
         left = gram[:o, :o] - mixed.T @ mixed
-        left[np.diag_indices_from(left)] += TUNING.ridge * float(np.max(np.diag(gram)[:o], initial=0.0))
+        left[np.diag_indices_from(left)] += RIDGE * float(np.max(np.diag(gram)[:o], initial=0.0))
         fast = np.linalg.cholesky(left)
         own = gram[:o, o:] - mixed.T @ slow[:, o:]
         basis = np.concatenate([slow[:, o:], solve_triangular(fast, own, lower=True, check_finite=False)])
