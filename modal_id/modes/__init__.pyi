@@ -1,5 +1,6 @@
 from . import flag_rules as flag_rules
 from .aliases import ALIAS_COLUMNS as ALIAS_COLUMNS
+from .aliases import DECIDED as DECIDED
 from .aliases import Alias as Alias
 from .aliases import Aliases as Aliases
 from .aliases import Line as Line
@@ -27,6 +28,7 @@ from .decays import held_odds as held_odds
 from .decays import most_informative as most_informative
 from .decays import without_faint as without_faint
 from .decays import without_held as without_held
+from .flag_rules import CLOSE as CLOSE
 from .flag_rules import mode_flags as mode_flags
 from .flag_rules import severities as severities
 from .frame_clock import Clock as Clock

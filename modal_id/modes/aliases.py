@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal_id.data import MIN_SAMPLES, FitData
+from modal_id.fit import EVEN_STEPS
 from modal_id.flags import ModeFlag
 from modal_id.mode_values import Table, axes_or_new
+from modal_id.posterior import BEYOND_SD
 from modal_id.results import Identification, IdentifiedMode
 from modal_id.sentences import Note
 from modal_id.solve import Problem, gauss_newton, objective, pole
@@ -36,9 +38,6 @@ class Tuning:
     #: [1] probability that a mode of one recording is a line of another one, too
     #: convention: Each recording may have been made for another mode.
     seen: float = 0.5
-    #: [sd] distance of a weaker line from half the rate less a stronger one, up to which it is an image of it
-    #: statistics: 0.3 % of the images are taken for lines.
-    image_sd: float = 3.0
     #: [1] prior probability that a line without the flag ALIASED_POSSIBLE is no alias
     #: convention: Rates are usually sufficient.
     resolved: float = 0.9
@@ -51,18 +50,13 @@ class Tuning:
     #: [1] probability from which one frequency is stated
     #: convention: Odds of nine to one.
     decided: float = 0.9
-    #: [steps] largest deviation of the times from an even grid that counts as none
-    #: convention: Times in ticks of 1/90 000 s or in ms are rounded by about as much.
-    even: float = 0.01
-    #: [samples] of a record with uneven times, the first ones, where the decay is largest
+    #: [samples] the first ones of a record, where the decay is largest, from which its times are judged
     #: physics: At half the rate and above they span 1000 cycles, and 1 % of a step is 1.8 degrees or more of the phase.
     most_samples: int = 2048
-    #: [1] iterations of the pole near an alias
-    #: convention: Aliases of the mean rate are within a fraction of a line of those of uneven times.
-    iterations: int = 20
 
 
 TUNING = Tuning()
+DECIDED, MOST_SAMPLES = TUNING.decided, TUNING.most_samples
 
 
 def apparent_hz(frequency_hz: float, rate_hz: float) -> float:
@@ -188,12 +182,12 @@ class LineAliases:
     @property
     def decided(self) -> bool:
         """Whether one frequency can be stated."""
-        return self.informed and self.best.probability >= TUNING.decided
+        return self.informed and self.best.probability >= DECIDED
 
     @property
     def applies(self) -> bool:
         """Whether there is something to say: the line may be an alias by itself, or by other recordings."""
-        return self.line.doubtful or (self.informed and self.aliases[0].probability < TUNING.decided)
+        return self.line.doubtful or (self.informed and self.aliases[0].probability < DECIDED)
 
     def __str__(self) -> str:
         hz, up_to = self.line.frequency_hz, Note.UP_TO(limit_hz=self.limit_hz)
@@ -265,7 +259,7 @@ def lines_of(recording: str, found: Identification) -> tuple[Line, ...]:
     if time_s.size < 2:
         return ()
     grid_s, step_s = _even_times(time_s)
-    is_uneven = found.has_decay and float(np.max(np.abs(time_s - grid_s))) > TUNING.even * step_s
+    is_uneven = found.has_decay and float(np.max(np.abs(time_s - grid_s))) > EVEN_STEPS * step_s
     return tuple(
         Line(
             recording,
@@ -343,7 +337,7 @@ def _images(lines: Iterable[Line]) -> set[Line]:
         for strong in one
         if weak.amplitude < strong.amplitude
         and abs(weak.damped_hz + strong.damped_hz - 0.5 * weak.rate_hz)
-        < TUNING.image_sd * math.hypot(weak.frequency_sd_hz, strong.frequency_sd_hz)
+        < BEYOND_SD * math.hypot(weak.frequency_sd_hz, strong.frequency_sd_hz)
     }
 
 
@@ -441,7 +435,7 @@ def _of_uneven_times(found: Identification, mode: IdentifiedMode, frequencies_hz
     the samples.
     """
     channels = found.channels_used & np.isfinite(mode.shape)
-    rows = np.flatnonzero(np.all(found.used[:, channels], axis=1))[: TUNING.most_samples]
+    rows = np.flatnonzero(np.all(found.used[:, channels], axis=1))[:MOST_SAMPLES]
     if not np.any(channels) or rows.size < MIN_SAMPLES:
         return np.zeros(frequencies_hz.size)
     since_s, part = found.series.time_s[rows] - found.onset.fit_from_s, np.ix_(rows, channels)
@@ -452,7 +446,7 @@ def _of_uneven_times(found: Identification, mode: IdentifiedMode, frequencies_hz
     def least(time_s: FloatArray, frequency_hz: float) -> float:
         problem = Problem(FitData(time_s, own, np.ones(own.shape)), np.ones((rows.size, 1)))
         start = np.array([own_pole.real + 2j * np.pi * frequency_hz])
-        return objective(problem.data, gauss_newton(problem, start, TUNING.iterations).linear)
+        return objective(problem.data, gauss_newton(problem, start).linear)
 
     left = np.array([least(since_s, hz) for hz in frequencies_hz.tolist()])
     if least(_even_times(since_s)[0], float(frequencies_hz[0])) < np.min(left):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
+from modal_id.fit import LEAST_WINDOW
 from modal_id.flags import CHECKS
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Check, Identification, IdentifiedMode
@@ -25,7 +26,7 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Tests of the residual, numerical derivatives, the delay of rows."""
+    """Tests of the residual, the delay of rows."""
 
     #: [1] number of replicates
     #: statistics: p-values in steps of 1 / 400.
@@ -36,20 +37,15 @@ class Tuning:
     #: [1] largest number of values in all replicates together
     #: convention: Limits the memory.
     max_values: int = 6_000_000
-    #: [samples] fewest samples
-    min_samples: int = 64
     #: [1] upper end of the band in which drift is looked for, over that of the baseline
     #: convention: Drift is visible just above.
     low_band: float = 3.0
-    #: [1] step of the damping ratio and, relative, of the frequency
-    #: physics: Between rounding and curvature.
-    step: float = 1e-6
     #: [1] least signal over noise of the modes and channels used
     least_snr: float = 20.0
     #: [1] fewest such channels
     least_channels: int = 5
-    #: [sd] least delay that is reported
-    #: statistics: Noise exceeds it once in 5e8.
+    #: [sd] least delay that is reported, and least difference between modes that disagree
+    #: statistics: Noise exceeds it once in 5e8; eight groups know an sd to a quarter.
     clear_sd: float = 6.0
     #: [rad] least change of phase from the first to the last channel
     least_phase: float = 0.01
@@ -59,14 +55,8 @@ class Tuning:
     #: [1] number of groups of neighbouring channels, each left out once
     #: convention: Their errors may be correlated.
     groups: int = 8
-    #: [sd] largest difference between modes that agree
-    #: convention: Eight groups know an sd to a quarter.
-    agree_sd: float = 6.0
     #: [1] number of passes
     passes: int = 4
-    #: [1] largest readout time over the time between frames
-    #: physics: 1, but for the error of the delay.
-    longest_readout: float = 1.05
 
 
 TUNING = Tuning()
@@ -88,7 +78,7 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     channel = int(np.argmax(size))
     known = np.isfinite(found.series.values[:, channel] - found.fitted[:, channel])
     rows = np.flatnonzero(found.used[:, channel] & known)
-    if rows.size < TUNING.min_samples:
+    if rows.size < LEAST_WINDOW:
         return ()
     time_s = found.series.time_s[rows] - found.onset.fit_from_s
     residual = (found.series.values - found.fitted)[rows, channel]
@@ -241,16 +231,11 @@ def _waves(mode: IdentifiedMode, time_s: FloatArray) -> FloatArray:
 
 def _slopes(mode: IdentifiedMode, time_s: FloatArray, channel: int) -> FloatArray:
     """Derivatives of the channel's motion by log frequency and by the damping ratio; shape (n, 2)."""
-
-    def motion(factor: float, change: float) -> FloatArray:
-        moved = pole(mode.omega_n_rad_s * factor, mode.damping_ratio + change)
-        return np.real(mode.shape[channel] * np.exp(moved * time_s))
-
-    pairs = (
-        (motion(1.0 + TUNING.step, 0.0), motion(1.0 - TUNING.step, 0.0)),
-        (motion(1.0, TUNING.step), motion(1.0, -TUNING.step)),
-    )
-    return np.stack([(up - down) / (2.0 * TUNING.step) for up, down in pairs], axis=1)
+    omega, zeta = mode.omega_n_rad_s, mode.damping_ratio
+    own = complex(pole(omega, zeta))
+    of_damping = -omega * complex(1.0, zeta / np.sqrt(1.0 - zeta**2))
+    wave = mode.shape[channel] * time_s * np.exp(own * time_s)
+    return np.stack([np.real(own * wave), np.real(of_damping * wave)], axis=1)
 
 
 class RowDelay(NamedTuple):
@@ -288,7 +273,7 @@ def row_delay(found: Identification, rows_px: FloatArray) -> RowDelay | None:
     if (
         abs(per_row) < TUNING.clear_sd * total_sd
         or phase < max(TUNING.least_phase, TUNING.least_ratios * clearest.damping_ratio)
-        or np.any(np.abs(values - per_row) > TUNING.agree_sd * np.hypot(sd, total_sd))
+        or np.any(np.abs(values - per_row) > TUNING.clear_sd * np.hypot(sd, total_sd))
     ):
         return None
     return RowDelay(per_row, total_sd)
@@ -300,7 +285,8 @@ def readout_note(found: Identification, rows_px: FloatArray, height_px: int) -> 
     if delay is None:
         return ""
     readout_s, sd_s = (height_px - 1) * np.array(delay)
-    if abs(readout_s) > TUNING.longest_readout * float(np.median(np.diff(found.series.time_s))):
+    # No readout takes longer than a frame.
+    if abs(readout_s) - TUNING.clear_sd * sd_s > float(np.median(np.diff(found.series.time_s))):
         return ""
     row_us, sd_us, grow = 1e6 * abs(delay.per_row_s), 1e6 * delay.sd_s, "grow" if readout_s > 0.0 else "fall"
     return Note.ROLLING_SHUTTER(grow=grow, row_us=row_us, sd_us=sd_us, readout_s=readout_s, sd_s=sd_s)

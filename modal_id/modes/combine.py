@@ -9,19 +9,8 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from scipy.special import chdtrc, chdtri
 
+from modal_id.fit import FALSE_ALARM
 from tracker import INTERVAL_LEVEL, FloatArray
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Modes of several records."""
-
-    #: [1] p-value of the scatter of several records below which they disagree
-    #: statistics: One mode in a hundred.
-    disagree: float = 0.01
-
-
-TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -50,8 +39,8 @@ class Combined:
 
     @property
     def disagree(self) -> bool:
-        """Whether the scatter is significantly larger than the standard deviations explain, at 1 %."""
-        return self.p_value < TUNING.disagree
+        """Whether the scatter is larger than the standard deviations explain but for one mode in a hundred."""
+        return self.p_value < FALSE_ALARM
 
 
 def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from modal_id.data import OUTLIER_SD
 from modal_id.fit import ModalFit
 from modal_id.modes.frame_clock import TUNING as CLOCK
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, Waves, decay_record
@@ -40,8 +41,6 @@ class Tuning:
     #: [1] number of phases tried first
     #: physics: The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the frames.
     phases: int = 8
-    #: [sd] robust deviation of rows that are left out of the noise of blended frames
-    outlier_sd: float = 5.0
     #: [1] share of independent samples below which blended frames are not judged
     #: convention: What a fit leaves of the motion has a periodic power, too.
     mostly_noise: float = 0.5
@@ -140,7 +139,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
     if found is not None:
         return found
     spread = np.median(np.abs(even.residual), axis=0) / MEDIAN_MODULUS
-    kept = np.all(np.abs(even.residual) <= TUNING.outlier_sd * spread, axis=1)
+    kept = np.all(np.abs(even.residual) <= OUTLIER_SD * spread, axis=1)
     record = replace(record.only(kept), steady_noise=steady_noise, predicted=predicted)
     even = record.fit(record.evenly(), record.all_modes)
     displacement, _ = record.motion(even)

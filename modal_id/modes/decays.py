@@ -34,17 +34,15 @@ class Tuning:
     louder: float = 1.25
     #: [1] relative distance of frequencies of two decays within which modes are the same
     same: float = 0.02
-    #: [sd] rate over zero below which a decay is chosen only where there is no other
+    #: [sd] rate over zero below which a motion may not decay
     #: statistics: 2.3 % of driven motions exceed it.
     decays_sd: float = 2.0
-    #: [1] factor on the sd of such a decay when decays are compared
-    #: convention: Any large number.
-    last_choice: float = 1e6
     #: [1] energy over the record's largest below which a decay is a click or a transient
     faint: float = 1e-3
 
 
 TUNING = Tuning()
+DECAYS_SD = TUNING.decays_sd
 
 
 def held_odds(free: DecayValue, other: DecayValue) -> float:
@@ -139,7 +137,7 @@ def grows(one: FittedDecay) -> bool:
     fit = one.model.fit
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
     growth, sd = float(fit.poles[strongest].real), float(fit.pole_sd[strongest, 0])
-    return growth > 0.0 and growth >= TUNING.decays_sd * sd * noise_level(one.model, None, strongest).factor
+    return growth > 0.0 and growth >= DECAYS_SD * sd * noise_level(one.model, None, strongest).factor
 
 
 def without_faint(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
@@ -156,16 +154,16 @@ def _largest_energy(model: ModalFit) -> float:
 
 
 def most_informative(fitted: Sequence[FittedDecay]) -> int:
-    """Index of the decay that determines the damping ratio of its strongest mode best."""
-    return int(np.argmin([_damping_sd(one.model) for one in fitted]))
+    """Index of the decay that determines the damping ratio of its strongest mode best; of those that decay, if any."""
+    return min(range(len(fitted)), key=lambda index: _uncertainty(fitted[index].model))
 
 
-def _damping_sd(model: ModalFit) -> float:
+def _uncertainty(model: ModalFit) -> tuple[bool, float]:
+    """Whether the strongest motion may not decay, and the standard deviation of its damping ratio."""
     fit = model.fit
     strongest = int(np.argmax(np.sum(np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance, axis=1)))
     pole, sd = complex(fit.poles[strongest]), float(fit.pole_sd[strongest, 0])
-    decays = -pole.real > TUNING.decays_sd * sd
-    return sd / abs(pole) * (1.0 if decays else TUNING.last_choice)
+    return bool(-pole.real <= DECAYS_SD * sd), sd / abs(pole)
 
 
 def without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from modal_id.curve import explains
 from modal_id.data import are_many
-from modal_id.fit import ModalFit, StabilityDiagram, nyquist_hz
+from modal_id.fit import OWN_BAND, ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
+from modal_id.modes.decays import DECAYS_SD
 from modal_id.modes.numbering import possible_aliases
 from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode
 from modal_id.results import AmplitudeDependence
@@ -32,9 +33,7 @@ class Tuning:
     #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
     #: convention: A tenth.
     decade: float = 0.1
-    #: [1] half-width of the band in which the residual is misfit of a mode, over its frequency
-    own_share: float = 0.05
-    #: [bins] the same, where a bin is 1 / span of the record
+    #: [bins] half-width of the band in which the residual is misfit of a mode, where a bin is 1 / span of the record
     own_bins: float = 3.0
     #: [1] relative change of the frequency over the record below which it has no practical consequence
     #: convention: Chosen; effect on a severity.
@@ -57,15 +56,13 @@ class Tuning:
     #: [1] relative distance of frequencies below which modes are close
     #: convention: Chosen; effect on a flag.
     close: float = 0.1
-    #: [sd] damping ratio below which its density touches zero
-    #: statistics: A normal density has 2 % of its mass below zero there; the ratio of a half-normal one is 1.1.
-    above_zero: float = 2.0
     #: [1] share of the Nyquist frequency from which a line may be an alias
     #: convention: Chosen; effect on a flag.
     near_nyquist: float = 0.9
 
 
 TUNING = Tuning()
+CLOSE = TUNING.close
 
 
 def severities(
@@ -151,11 +148,12 @@ def mode_flags(
         ModeFlag.ADDED: is_added(model, index),
         ModeFlag.LOW_SNR: best < TUNING.low_snr,
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
-        ModeFlag.CLOSE_MODE: bool(np.any(distance < TUNING.close)),
+        ModeFlag.CLOSE_MODE: bool(np.any(distance < CLOSE)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
-        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < TUNING.above_zero * _sd_below(mode),
+        # The ratio of a half-normal density is 1.1.
+        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < DECAYS_SD * _sd_below(mode),
         ModeFlag.RESIDUAL_AT_MODE: mode.residual_power > MUCH_LEFT,
         ModeFlag.ALIASED_POSSIBLE: at_nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
@@ -185,7 +183,7 @@ def signal_to_noise(model: ModalFit, index: int) -> float:
     spectrum, linear = model.spectrum, model.fit.linear
     beside = np.ones(spectrum.frequency_hz.size, dtype=bool)
     for hz in frequency_hz(model.fit.poles):
-        reach = max(TUNING.own_share * float(hz), TUNING.own_bins / model.data.span_s)
+        reach = max(OWN_BAND * float(hz), TUNING.own_bins / model.data.span_s)
         beside &= np.abs(spectrum.frequency_hz - hz) > reach
     share = float(np.mean(spectrum.power[beside]) / np.mean(spectrum.power)) if np.any(beside) else 1.0
     noise = np.sqrt(linear.noise_variance * min(share, 1.0))

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from modal_id.data import baseline_matrix
 from modal_id.fit import ModalFit
+from modal_id.modes.aliases import MOST_SAMPLES
+from modal_id.modes.shapes import CLEAR_SD
 from modal_id.solve import real_columns
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -26,9 +28,6 @@ Kind = Literal["moved", "blended", "inserted"]
 class Tuning:
     """The clock of converted frames."""
 
-    #: [samples] largest number of rows used from the start of the decay
-    #: convention: Limits the computing time; the motion is strongest there.
-    most_rows: int = 2_000
     #: [1] largest number of channels, those with most of the motion
     #: convention: Limits the computing time.
     most_channels: int = 24
@@ -52,10 +51,7 @@ class Tuning:
     near_bins: float = 3.0
     #: [1] least MAC of a side band with the strongest mode
     same_shape: float = 0.8
-    #: [sd] largest difference of its decay rate from the mode's
-    #: statistics: Noise exceeds it in 6e-5 of the lines.
-    same_rate_sd: float = 4.0
-    #: [1] the same, over the decay rate
+    #: [1] largest difference of its decay rate from the mode's beyond their errors, over the decay rate
     #: convention: Other side bands that are left bias the rate.
     same_rate: float = 0.2
     #: [steps] largest distance of a row from its place on an even grid
@@ -309,7 +305,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     rate = np.maximum(-fit.poles.real, 1.0 / data.span_s)
     strongest = int(np.argmax(np.sum(energy, axis=1) * np.abs(fit.poles) ** 2 / rate))
     most = np.argsort(-energy[strongest])[: TUNING.most_channels]
-    used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[: TUNING.most_rows]
+    used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[:MOST_SAMPLES]
     columns = 2 * (len(_OTHER_ENVELOPES) * fit.poles.size + len(_ENVELOPE))
     if used.size < TUNING.rows_per_column * columns:
         return None
@@ -327,7 +323,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     alike = product > TUNING.same_shape * size * size[strongest]
     alike &= (
         np.abs(fit.poles.real - fit.poles[strongest].real)
-        < TUNING.same_rate_sd * rate_sd + TUNING.same_rate * rate[strongest]
+        < CLEAR_SD * rate_sd + TUNING.same_rate * rate[strongest]
     )
     alike[strongest] = False
     values = _components(values, fit.linear.residual[cells] / sd)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.fit import HIGHEST_OVERTONE
 from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
-from modal_id.posterior import SampledMode
+from modal_id.posterior import BEYOND_SD, SampledMode
 from modal_id.results import FailedMode
 from modal_id.sentences import Note, Reason, Refusal
 from tracker import ComplexArray, FloatArray, PositionErrors
@@ -22,17 +23,11 @@ class Tuning:
 
     #: [1] least ratio of the amplitudes of the motions to that of the distortion they cause
     weaker: float = 3.0
-    #: [sd] difference of frequency and decay rate within which a combination agrees
-    #: statistics: 0.3 % of combinations exceed it.
-    agree_sd: float = 3.0
     #: [1] largest probability that some combination agrees by chance
     #: statistics: One line in twenty.
     chance: float = 0.05
     #: [1] highest order of a harmonic
     highest_order: int = 40
-    #: [1] highest order of a harmonic above half the sampling rate
-    #: convention: Higher ones are too weak to show.
-    highest_aliased: int = 5
     #: [sd] amplitude of a line below which it may be an error that repeats with a motion
     error_sd: float = 2.0
     #: [1] least amplitude of that motion over the line's
@@ -160,12 +155,12 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
         f = apparent_hz(true, rate_hz)
         highest = sum(abs(n) * line.rate for n, line in parts)
         lowest = parts[0][1].rate if len(parts) == 1 else highest
-        f_reach = TUNING.agree_sd * float(
+        f_reach = BEYOND_SD * float(
             np.hypot(own.frequency_sd, _root(n * line.frequency_sd for n, line in parts))
         )
         # A line and its distortion depend on the same amplitude.
         f_reach += max(own.frequency_reach, sum(abs(n) * line.frequency_reach for n, line in parts))
-        reach = TUNING.agree_sd * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
+        reach = BEYOND_SD * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
         reach += max(own.rate_reach, sum(abs(n) * line.rate_reach for n, line in parts))
         likely = np.log((highest + reach) / max(lowest - reach, 1e-300)) / _DECADES
         chance += min(float(likely), 1.0) * min(2.0 * f_reach / own.frequency, 1.0)
@@ -180,7 +175,7 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz:
 
 
 def _multiples(strongest: _Line, frequency: float) -> Iterator[tuple[tuple[int, _Line], ...]]:
-    for order in range(2, max(int(1.5 * frequency / strongest.frequency) + 2, TUNING.highest_aliased + 1)):
+    for order in range(2, max(int(1.5 * frequency / strongest.frequency) + 2, HIGHEST_OVERTONE + 1)):
         yield ((order, strongest),)
 
 

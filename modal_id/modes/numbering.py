@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from modal_id.fit import SAME_LINE
 from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
 from modal_id.modes.shapes import mac
@@ -37,8 +38,6 @@ class Tuning:
     #: [1] odds from which the other end is named
     #: measurement: The largest of 3000 shapes of this end, 2 to 8 markers read to 5 mm, is 58.
     least_odds: float = 100.0
-    #: [1] log ratio of frequencies within which a mode is one that the user rejects
-    rejected_log_ratio: float = 0.01
 
 
 TUNING = Tuning()
@@ -232,7 +231,7 @@ def rejected_modes(frequencies_hz: FloatArray, settings: IdentifySettings) -> Bo
     """Which of the modes found the user rejects, shape (m,)."""
     wanted = np.asarray(settings.reject_hz, dtype=float)
     apart = np.abs(np.log(frequencies_hz[:, None] / wanted[None, :]))
-    return np.asarray(np.any(apart < TUNING.rejected_log_ratio, axis=1))
+    return np.asarray(np.any(apart < SAME_LINE, axis=1))
 
 
 def choose_target_of(

@@ -19,16 +19,13 @@ from tracker import BoolArray, ComplexArray, Failure, FloatArray, PositionErrors
 class Tuning:
     """Channels without motion, nodes of a shape, shapes between the stations."""
 
-    #: [sd] amplitude below which a channel has no motion
-    #: statistics: Noise exceeds it in 6e-5 of the channels.
-    moves: float = 4.0
+    #: [sd] amplitude that noise does not explain
+    #: statistics: Noise exceeds it in 6e-5 of channels, stations or lines.
+    clear_sd: float = 4.0
     #: [1] half the window of the fit about a crossing, over the span of the stations
     half_window: float = 0.08
     #: [1] fewest stations in the window
     least_stations: int = 6
-    #: [sd] distance from zero that both sides of a crossing must reach somewhere in the window
-    #: statistics: Noise does so in 6e-5 of the stations.
-    clear_sd: float = 4.0
     #: [1] number of unrestrained modes beyond the dominant one
     free_beyond: int = 3
     #: [1] number of modes beyond those, restrained by the evidence
@@ -48,6 +45,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+CLEAR_SD = TUNING.clear_sd
 
 
 # A part of the samples determines these standard deviations well enough; they are spread by the golden section, which
@@ -151,7 +149,7 @@ def moving_channels(data: FitData, linear: LinearSolution) -> BoolArray:
     """Mask of the channels in which some mode exceeds four standard deviations; at least one, shape (k,)."""
     sd = np.stack([amplitude_sd(data, linear, i) for i in range(linear.amplitudes.shape[0])])
     size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
-    return np.asarray(size > min(TUNING.moves, float(np.max(size)) * 0.999))
+    return np.asarray(size > min(CLEAR_SD, float(np.max(size)) * 0.999))
 
 
 class Node(NamedTuple):
@@ -216,10 +214,7 @@ def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, 
         value, slope, bend, _ = fitted
         step = -value / slope if slope else np.inf
         # The crossing of a beam at rest, as at its clamp, is one of noise.
-        if (
-            np.max(sides[0] * -np.sign(slope)) < TUNING.clear_sd
-            or np.max(sides[1] * np.sign(slope)) < TUNING.clear_sd
-        ):
+        if np.max(sides[0] * -np.sign(slope)) < CLEAR_SD or np.max(sides[1] * np.sign(slope)) < CLEAR_SD:
             return None
         if abs(step) > 1.0:
             return None
