@@ -8,16 +8,16 @@ import numpy as np
 
 from modal_id.ambient.bands import TUNING as BANDS
 from modal_id.ambient.bands import Band, Peak, Tail, band_data, bands_of, find_peaks_of, singular_values
-from modal_id.ambient.model import TUNING as MODEL
-from modal_id.ambient.model import BandFit, spectrum
-from modal_id.ambient.order import Order, choose_order, shares
+from modal_id.ambient.model import WIDEST, BandFit, spectrum
+from modal_id.ambient.order import WIDTHS, Order, choose_order, shares
 from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
-from modal_id.fit import nyquist_hz, stability_diagram
+from modal_id.fit import SAME_LINE, nyquist_hz, stability_diagram
 from modal_id.flags import ModeFlag
-from modal_id.modes import numbered
+from modal_id.modes import CLEAR_SD, CLOSE, numbered
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
+from modal_id.response import DRAWS, MOST_FREQUENCIES
 from modal_id.results import AmbientBand, AmbientRecord, FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.sentences import Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
@@ -59,22 +59,13 @@ def law_note(span_s: float, frequency_hz: float, damping_ratio: float, log_sd: f
 
 @dataclass(frozen=True)
 class Tuning:
-    """Draws, and which modes are listed."""
+    """Which modes are listed, and how often bands are fitted."""
 
-    #: [1] draws of a mode in each ensemble
-    #: statistics: Their 5 % quantile has an error of 0.05 sd.
-    draws: int = 2000
     #: [1] share of a mode in the power at its frequency in its own direction
     #: physics: Below one half, the rest of the motion hides its peak: it is what the skirts of a stronger mode leave.
     least_share: float = 0.5
     #: [1] half-width over the largest that a band allows, from which a response is part of the background
     widest: float = 0.9
-    #: [sd] misfit of a band, over its scatter, from which its modes may be more than those fitted
-    #: statistics: A normal deviate exceeds it once in 30 000; the scatter is that of Wishart matrices.
-    most_misfit: float = 4.0
-    #: [1] factor on the width of a peak whose band holds no mode at first
-    #: physics: The width may be that of a lobe of noise.
-    wider: float = 4.0
     #: [modes] number of modes of other bands whose tails are part of the model of a band
     #: physics: One on each side; those beyond are weaker and change less.
     tails: int = 2
@@ -84,9 +75,6 @@ class Tuning:
     #: [rounds] number of the last rounds, whose bands are narrow and have tails
     #: physics: What is no mode beside the tails of others may have had a tail itself.
     narrow: int = 2
-    #: [1] relative difference in frequency of the tails of a band, below which it is not fitted again
-    #: physics: A tail hardly changes with it; the tail of another mode does.
-    same_tail: float = 0.01
     #: [1] change of the limits of a band over its width, below which it is not fitted again
     same_band: float = 0.1
     #: [1] sd of ln zeta from which a mode is not determined
@@ -95,11 +83,6 @@ class Tuning:
     #: [turns] zeta 2 pi f T below which a peak is a line: a motion of constant amplitude
     #: physics: The amplitude of a mode then has one or two independent values in the record.
     least_turns: float = 2.0
-    #: [1] relative distance of another mode below which a mode is close
-    close: float = 0.1
-    #: [points] frequencies of the spectrum that is kept for the figure
-    #: convention: Wider than a screen.
-    points: int = 1500
 
 
 TUNING = Tuning()
@@ -185,7 +168,7 @@ class _Fitted:
 
     @property
     def fits_in(self) -> BoolArray:
-        widest = TUNING.widest * MODEL.widest * (self.band.high_hz - self.band.low_hz)
+        widest = TUNING.widest * WIDEST * (self.band.high_hz - self.band.low_hz)
         return np.array([peak.half_width_hz < widest for peak in self.peaks], dtype=bool)
 
     @property
@@ -207,7 +190,7 @@ class _Fitted:
         if len(tails) != len(self.tails) or moved > TUNING.same_band * width:
             return False
         changes = [a.frequency_hz / b.frequency_hz - 1.0 for a, b in zip(tails, self.tails, strict=True)]
-        same = all(abs(change) < TUNING.same_tail for change in changes)
+        same = all(abs(change) < SAME_LINE for change in changes)
         return same and len(band.peaks) == int(np.sum(self.stands_out))
 
 
@@ -260,7 +243,7 @@ def _fitted(found: Spectrum, band: Band, tails: tuple[Tail, ...] = ()) -> _Fitte
     log_places = max(float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz))), 0.0)
     order = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
     if order.fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
-        wider = band.peaks[0]._replace(half_width_hz=TUNING.wider * band.peaks[0].half_width_hz, strength=0.0)
+        wider = band.peaks[0]._replace(half_width_hz=WIDTHS * band.peaks[0].half_width_hz, strength=0.0)
         return _fitted(found, bands_of(found, [wider])[0], tails)
     return _Fitted(band, order, tails)
 
@@ -351,9 +334,9 @@ def _assembled(
     modes = []
     for index, one in enumerate(listed):
         flags = []
-        if np.sum(np.abs(np.log(frequencies / one.frequency_hz)) < TUNING.close) > 1:
+        if np.sum(np.abs(np.log(frequencies / one.frequency_hz)) < CLOSE) > 1:
             flags.append(ModeFlag.CLOSE_MODE)
-        if one.misfit > TUNING.most_misfit:
+        if one.misfit > CLEAR_SD:
             flags.append(ModeFlag.UNRESOLVED)
         if diagram is not None and not diagram.confirms(one.frequency_hz):
             flags.append(ModeFlag.NOT_CONFIRMED)
@@ -376,11 +359,11 @@ def _posterior(one: _Found, index: int, settings: IdentifySettings) -> Posterior
     """Independent draws: ln zeta is normal, and so is ln f for each zeta, with an sd that grows with its root."""
     ensembles = settings.sampler.ensembles
     sequence = np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index))
-    normal = np.random.default_rng(sequence).standard_normal((ensembles, TUNING.draws, 2))
+    normal = np.random.default_rng(sequence).standard_normal((ensembles, DRAWS, 2))
     logs = normal @ np.linalg.cholesky(one.covariance).T
     logs[..., 0] *= np.exp(0.5 * logs[..., 1])
     sd = np.sqrt(np.diag(one.covariance))
-    count = float(ensembles * TUNING.draws)
+    count = float(ensembles * DRAWS)
     return Posterior(
         one.frequency_hz * np.exp(logs[..., 0]),
         one.damping_ratio * np.exp(logs[..., 1]),
@@ -434,7 +417,7 @@ def _of_record(
 
 def _curve(found: Spectrum) -> tuple[FloatArray, FloatArray]:
     """Frequencies (b,) and singular values (b, k) of the spectrum, in the units of the noise."""
-    bins = max(4, 2 * int(np.ceil(found.frequency_hz.size / TUNING.points)))
+    bins = max(4, 2 * int(np.ceil(found.frequency_hz.size / MOST_FREQUENCIES)))
     curve = singular_values(found, bins)
     return curve.frequency_hz, curve.values[:, :3]
 

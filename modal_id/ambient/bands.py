@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import find_peaks
 
-from modal_id.ambient.model import BandData
-from modal_id.ambient.spectrum import Spectrum, transfer
+from modal_id.ambient.model import MOST_MODES, BandData
+from modal_id.ambient.spectrum import REACH, Spectrum, transfer
 from tracker import ComplexArray, FloatArray
 
 
@@ -21,19 +21,13 @@ class Tuning:
     #: [bins] frequencies averaged at the finest resolution
     #: physics: The peak of a mode whose damping ratio has a relative sd of 0.3 is this wide.
     finest: int = 4
-    #: [1] widest average over the frequency
-    widest: float = 0.25
     #: [sd] prominence of a peak of the logarithm from which the band is examined
     #: statistics: Averages of 4 to 64 bins of noise reach 7.5 to 6 once in 10^5; the evidence decides what is a mode.
     prominence_sd: float = 7.5
     #: [1] half-width of a peak over the average, above which the average resolves it
     #: physics: The average of a line has half of its own width.
     resolved: float = 0.75
-    #: [half-widths] reach of a band on both sides of a mode
-    #: measurement: 0.58 of the information on zeta lies within 6 half-widths, 0.76 within 12; with 12, the skirts of
-    #: other modes moved frequencies far above the noise by 1.5 sd rms.
-    reach: float = 6.0
-    #: [1] largest reach over the frequency
+    #: [1] largest reach of a band, and widest average, over the frequency
     #: physics: The force and the noise are taken as flat, and as a power law, in a band.
     relative_reach: float = 0.3
     #: [1] factor on the reach of the bands in which modes are first looked for
@@ -42,12 +36,6 @@ class Tuning:
     first_reach: float = 2.0
     #: [bins] smallest reach
     least_reach: float = 24.0
-    #: [half-widths] distance of two peaks, over the sum of their half-widths, up to which they share a band
-    together: float = 6.0
-    #: [modes] most peaks that share a band
-    most_peaks: int = 4
-    #: [channels] most directions of the space in which the shapes of a band lie
-    directions: int = 4
     #: [1] width of a sum of neighbouring frequencies over the distance from the nearest peak
     #: physics: The spectrum of a mode is nearly straight over it: the mean and the middle differ by 0.3 %.
     merged: float = 0.1
@@ -148,7 +136,7 @@ def _peaks_at(curve: SingularValues, bins: int) -> list[Peak]:
         ends = [_crossing(log_power[index::-1], level), _crossing(log_power[index:], level)]
         # The mean of both sides: noise cuts one of them short; a neighbouring peak lengthens one.
         half_width = max(0.5 * (min(ends) + min(max(ends), 3.0 * min(ends))), 0.5) * step_hz
-        if 2.0 * step_hz < TUNING.widest * hz:
+        if 2.0 * step_hz < TUNING.relative_reach * hz:
             peaks.append(Peak(hz, float(half_width), float(prominence * np.sqrt(bins))))
     return sorted(peaks, key=lambda peak: -peak.strength)
 
@@ -170,10 +158,10 @@ def bands_of(spectrum: Spectrum, peaks: list[Peak], factor: float = 1.0) -> list
     groups: list[list[Peak]] = []
     for peak in ordered:
         last = groups[-1][-1] if groups else None
-        near = last is not None and peak.frequency_hz - last.frequency_hz < TUNING.together * (
+        near = last is not None and peak.frequency_hz - last.frequency_hz < REACH * (
             peak.half_width_hz + last.half_width_hz
         )
-        if near and len(groups[-1]) < TUNING.most_peaks:
+        if near and len(groups[-1]) < MOST_MODES:
             groups[-1].append(peak)
         else:
             groups.append([peak])
@@ -182,7 +170,7 @@ def bands_of(spectrum: Spectrum, peaks: list[Peak], factor: float = 1.0) -> list
     for group in groups:
         reaches = [
             np.clip(
-                factor * TUNING.reach * peak.half_width_hz,
+                factor * REACH * peak.half_width_hz,
                 factor * TUNING.least_reach * step_hz,
                 TUNING.relative_reach * peak.frequency_hz,
             )
@@ -249,11 +237,11 @@ def _starts(frequency_hz: FloatArray, modes: list[tuple[float, float]]) -> np.nd
 
 
 def _directions(values: ComplexArray, power: FloatArray, starts: np.ndarray) -> FloatArray:
-    """Main directions of the motion of a band, shape (k, r): each sum of frequencies counts by its bins."""
+    """Main directions of the motion of a band, as many as modes, shape (k, r): each sum counts by its bins."""
     k = values.shape[1]
-    if k <= TUNING.directions:
+    if k <= MOST_MODES:
         return np.eye(k)
     bins = np.diff(np.append(starts, values.shape[0]))
     weights = np.repeat(bins / np.maximum(power, 1e-300), bins)
     mean = np.real(np.conj(values.T * weights) @ values)
-    return np.linalg.eigh(mean)[1][:, : -TUNING.directions - 1 : -1]
+    return np.linalg.eigh(mean)[1][:, : -MOST_MODES - 1 : -1]

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.ambient.spectrum import transfer
+from modal_id.fit import MAX_DAMPING
+from modal_id.solve import MAX_ITERATIONS
 from tracker import ComplexArray, FloatArray
 
 
@@ -22,13 +24,6 @@ class Tuning:
     #: [1] predicted gain in log likelihood below which the maximum is reached
     #: statistics: A hundredth of the gain that moves a parameter by one sd, 0.5.
     converged: float = 5e-3
-    #: [1] largest number of steps
-    steps: int = 40
-    #: [steps] number of steps after which a fit that falls short is given up
-    patience: int = 6
-    #: [1] gain that a fit may still have over that which its next step predicts
-    #: measurement: Fits that gained more than twice the prediction of the seventh step are not seen.
-    optimism: float = 3.0
     #: [1] largest change of the logarithm of a frequency over that of the damping ratio in a step
     longest: float = 0.7
     #: [1] prior sd of the coherence of a mode's force with the background
@@ -43,18 +38,18 @@ class Tuning:
     #: [1] change of a logarithm for difference quotients
     #: convention: Rounding and curvature are both below 1e-7 of the slope.
     difference: float = 1e-6
-    #: [1] largest damping ratio
-    #: physics: Above it the response to white force has hardly a peak.
-    most_damping: float = 0.4
     #: [1] largest half-width of a mode over the width of the band
     #: physics: The spectrum of a wider one is not told from the background.
     widest: float = 0.125
     #: [1] 2 pi zeta f T below which a peak is a line
     #: physics: The amplitude then has one independent value in the whole record.
     least_turns: float = 0.2
+    #: [modes] most modes in a band
+    most_modes: int = 4
 
 
 TUNING = Tuning()
+MOST_MODES, WIDEST = TUNING.most_modes, TUNING.widest
 
 
 @dataclass(frozen=True)
@@ -310,12 +305,8 @@ class BandFit:
         return 0.5 * float(np.linalg.slogdet(self.covariance[own, own] / TUNING.coherent_sd**2)[1])
 
 
-def fit_band(
-    model: BandModel, data: BandData, limits_hz: tuple[float, float], wanted: float = -np.inf
-) -> BandFit:
+def fit_band(model: BandModel, data: BandData, limits_hz: tuple[float, float]) -> BandFit:
     """Maximise the likelihood from a first guess, frequencies kept within the limits.
-
-    Ends early where the logarithm of the likelihood will not reach `wanted`.
 
     In directions in which the background is white and the modes come first: in others, where a mode is far above the
     noise, its shape and the background can only turn together. Fisher scoring with Levenberg's damping: the expected
@@ -324,11 +315,9 @@ def fit_band(
     model, data = _whitened(model, data)
     value, damping = log_likelihood(model, data), 1e-3
     gradient, information = _score(model, data)
-    for count in range(TUNING.steps):
+    for _ in range(MAX_ITERATIONS):
         scale = np.maximum(np.diag(information), 1e-12)
         step = np.asarray(np.linalg.solve(information + damping * np.diag(scale), gradient), dtype=np.float64)
-        if count > TUNING.patience and value + TUNING.optimism * float(gradient @ step) < wanted:
-            break
         trial = _limited(model, model.vector + _shortened(step, model.count), data, limits_hz)
         reached = log_likelihood(trial, data)
         if not reached > value:
@@ -373,7 +362,7 @@ def _limited(
     vector[:m] = np.clip(vector[:m], *np.log(limits_hz))
     least = TUNING.least_turns / (2.0 * np.pi * np.exp(vector[:m]) * data.samples * data.step_s)
     # A response wider than an eighth of the band is not told from the background.
-    most = np.minimum(TUNING.most_damping, TUNING.widest * (limits_hz[1] - limits_hz[0]) / np.exp(vector[:m]))
+    most = np.minimum(MAX_DAMPING, WIDEST * (limits_hz[1] - limits_hz[0]) / np.exp(vector[:m]))
     vector[m : 2 * m] = np.clip(vector[m : 2 * m], np.log(least), np.log(most))
     r = data.size
     vector[-r:] = np.clip(vector[-r:], -TUNING.most_exponent, TUNING.most_exponent)

@@ -7,8 +7,21 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import logit
 
-from modal_id.ambient.model import BandData, BandFit, BandModel, fit_band, log_likelihood, responses, spectrum
+from modal_id.ambient.model import (
+    MOST_MODES,
+    WIDEST,
+    BandData,
+    BandFit,
+    BandModel,
+    fit_band,
+    log_likelihood,
+    responses,
+    spectrum,
+)
+from modal_id.modes import DECIDED
+from modal_id.response import PLACES, PROMISING
 from tracker import ComplexArray, FloatArray
 
 
@@ -16,42 +29,25 @@ from tracker import ComplexArray, FloatArray
 class Tuning:
     """Evidence of a mode."""
 
-    #: [modes] most modes in a band
-    most_modes: int = 4
     #: [1] ratio of the first guesses of a damping ratio, of which that of the peak is the middle one
+    #: physics: The width of a peak may be that of a lobe of noise.
     widths: float = 4.0
-    #: [guesses] number of guesses of a further mode from which the likelihood is maximised
-    guesses: int = 3
-    #: [peaks] peaks without a mode from which the likelihood is maximised
-    peaks: int = 2
-    #: [1] gain predicted by the score test, over what the evidence asks for, below which a mode is not fitted
-    #: measurement: The gain after the fit is up to five times that from amplitude 0.
-    promising: float = 0.25
-    #: [half-widths] width of a band, at least
-    #: physics: A wider response is not told from the background.
-    least_reach: float = 8.0
     #: [half-widths] largest distance of two modes from the one that they replace
     #: physics: Modes that are further apart have peaks of their own.
     pair_reach: float = 4.0
     #: [half-widths] smaller of the two half-widths tried for two modes in place of one
     #: physics: One mode fitted to two is wider than either.
     pair_width: float = 0.5
-    #: [sd] misfit of one mode from which two are tried in its place
-    #: statistics: One mode exceeds it in one band of six. A pair that the evidence accepts gains at least 25 in log
-    #: likelihood: 50 in chi-square, whose sd is 15 to 50, so that it has a misfit of 1 to 3 at least.
-    pair_misfit: float = 1.0
     #: [bins] frequencies in a mean of the misfit
     #: measurement: One mode fitted to two (seeds 1131, 1116) has a misfit of 12 and 8, 3 and 3 with means of 8; seven
     #: other bands have 2.2 at most.
     misfit_bins: int = 32
     #: [points] frequencies at which a further mode is tried
     places: int = 81
-    #: [1] logarithm of the odds from which a mode is listed
-    #: statistics: Odds of 0.9 against 0.1.
-    least_log_odds: float = float(np.log(9.0))
 
 
 TUNING = Tuning()
+WIDTHS = TUNING.widths
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,7 @@ def choose_order(
     fit = fit_band(start, data, limits_hz)
     odds: list[float] = []
     total = float(np.sum(data.bins))
-    while fit.model.count < TUNING.most_modes:
+    while fit.model.count < MOST_MODES:
         best = None
         # Twice the coherences with the modes so far and the tails, the shape, frequency and damping ratio.
         price = 0.5 * (2 * fit.model.total + data.size + 2) * np.log(total) + log_places
@@ -158,23 +154,22 @@ def choose_order(
         if not fit.model.count and fit.model.total:
             # Without a mode, the tails were fitted to its peak: of either guess the fit may end beside the best.
             origins = [(start, data), *origins]
-        unexplained = _unexplained(fit.model, peaks)[: TUNING.peaks]
+        unexplained = _unexplained(fit.model, peaks)
         guesses = [(_from_peak(*one, *peak), one[1]) for one in origins for peak in unexplained]
         further = []
         if fit.model.count or not guesses:
             further += further_modes(fit, limits_hz, [half for _, half in peaks], price)
-        if fit.model.count == 1 and Order(fit, ()).misfit > TUNING.pair_misfit:
+        if fit.model.count == 1:
             further += pair_instead(fit, limits_hz)
         for guess, seen in (*guesses, *((one, fit.data) for one in further)):
-            wanted = fit.log_likelihood + price if best is None else best.log_likelihood
-            trial = fit_band(guess, seen, limits_hz, wanted)
+            trial = fit_band(guess, seen, limits_hz)
             if best is None or trial.log_likelihood > best.log_likelihood:
                 best = trial
         if best is None:
             break
         log_odds = best.log_likelihood - fit.log_likelihood - price
         log_odds += best.log_coherences - fit.log_coherences
-        if log_odds < TUNING.least_log_odds:
+        if log_odds < logit(DECIDED):
             break
         fit = best
         odds.append(float(log_odds))
@@ -227,10 +222,10 @@ def further_modes(
     matrix = spectrum(model, data)
     inverse = np.linalg.inv(matrix)
     excess = np.real(inverse @ (data.cross - data.bins[:, None, None] * matrix) @ inverse)
-    halves = np.unique(np.outer(half_widths_hz, [1.0 / TUNING.widths, 1.0, TUNING.widths]))
+    halves = np.unique(np.outer(half_widths_hz, [1.0 / WIDTHS, 1.0, WIDTHS]))
     places = np.linspace(*limits_hz, TUNING.places)[1:-1]
     hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
-    half = np.minimum(half, (limits_hz[1] - limits_hz[0]) / TUNING.least_reach)
+    half = np.minimum(half, WIDEST * (limits_hz[1] - limits_hz[0]))
     zeta = half / hz
     response = _power(data, hz[:, None], zeta[:, None])
     values, vectors = np.linalg.eigh(np.tensordot(response, excess, 1))
@@ -241,10 +236,10 @@ def further_modes(
     found: list[BandModel] = []
     for index in np.argsort(-score).tolist():
         apart = [abs(hz[index] - np.exp(one.log_hz[-1])) > half[index] for one in found]
-        if score[index] > 0.0 and 0.5 * score[index] ** 2 > TUNING.promising * price and all(apart):
+        if score[index] > 0.0 and 0.5 * score[index] ** 2 > PROMISING * price and all(apart):
             guess = float(hz[index]), float(zeta[index])
             found.append(model.with_mode(*guess, _shape_at(data, matrix, *guess)))
-        if len(found) == TUNING.guesses:
+        if len(found) == PLACES:
             break
     return found
 

@@ -16,6 +16,7 @@ from .checks import row_delay as row_delay
 from .combine import Combined as Combined
 from .combine import between_interval as between_interval
 from .combine import combine as combine
+from .converted_rate import RARE as RARE
 from .converted_rate import Conversion as Conversion
 from .converted_rate import any_variance_cost as any_variance_cost
 from .converted_rate import conversion as conversion
@@ -46,6 +47,7 @@ from .numbering import number_modes as number_modes
 from .numbering import numbered as numbered
 from .numbering import rejected_modes as rejected_modes
 from .numbering import shape_disagreement as shape_disagreement
+from .shapes import CLEAR_SD as CLEAR_SD
 from .shapes import Curvature as Curvature
 from .shapes import Node as Node
 from .shapes import amplitude_sd as amplitude_sd

@@ -20,7 +20,7 @@ from tracker import MEDIAN_MODULUS, BoolArray, FloatArray
 class Tuning:
     """Films converted to another rate."""
 
-    #: [1] probability of a false detection in white noise, for all hypotheses of a record together
+    #: [1] probability with which a record of nothing but noise or stationary motion is taken for another one
     #: statistics: One record in ten thousand.
     false_alarm: float = 1e-4
     #: [1] line of the residual that is followed up
@@ -55,6 +55,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+RARE = TUNING.false_alarm
 
 # Whole recorded frames per frame of the file, beside the fraction.
 _WHOLE = (1, 2)
@@ -153,9 +154,9 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
 
 
 def least_gain(record: DecayRecord) -> float:
-    """Twice the gain of the log-likelihood that noise reaches in a share `TUNING.false_alarm` of records."""
+    """Twice the gain of the log-likelihood that noise reaches in a share `RARE` of records."""
     tries = record.length * TUNING.phases * len(_WHOLE) * 8.0
-    return 2.0 * float(np.log(tries / TUNING.false_alarm))
+    return 2.0 * float(np.log(tries / RARE))
 
 
 def any_variance_cost(record: DecayRecord, even: ClockFit) -> float:

@@ -21,8 +21,9 @@ class Tuning:
     #: [1] smallest damping ratio that is tried
     #: convention: That of a tuning fork.
     least_damping: float = 0.001
-    #: [1] largest one
-    #: convention: That of a strongly damped beam.
+    #: [1] largest one, from which a pole is left out of the search for the lag
+    #: measurement: What a wrong lag leaves of a motion of the base over the whole band is taken for modes of 0.02 to
+    #: 0.5, which then follow any lag (seeds 0 and 1 of the broad records of benchmarks/known_input.py).
     most_damping: float = 0.05
     #: [1] number of damping ratios that are tried
     #: physics: The iteration covers the factor of three between neighbours.
@@ -38,9 +39,6 @@ class Tuning:
     #: [1] half-widths of a mode on both sides of a window
     #: physics: 0.8 of the power of a resonance lies within three.
     half_widths: float = 5.0
-    #: [bins] least half width of a window
-    #: statistics: That over which the noise is averaged: it falls by the factor that the gain contains.
-    least_window: int = NOISE.half_window
     #: [1] relative distance of two peaks
     apart: float = 0.05
     #: [bins] half width of the average of the input's spectrum
@@ -115,7 +113,7 @@ def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) ->
     frequency_hz = samples.frequency_hz
     step_hz = float(frequency_hz[1] - frequency_hz[0])
     half_hz = ratio * float(frequency_hz[at])
-    reach = max(TUNING.least_window, int(np.ceil(TUNING.half_widths * half_hz / step_hz)))
+    reach = max(NOISE.half_window, int(np.ceil(TUNING.half_widths * half_hz / step_hz)))
     window = slice(max(0, at - reach), at + reach + 1)
     size = len(weighted[window])
     s, driving = 2j * np.pi * frequency_hz[window], found.likely.input_bins[window]

@@ -26,7 +26,9 @@ class Tuning:
     #: [1] resolutions between a clipped value and those beside the run
     #: physics: A parabola that is constant to one resolution over three samples falls by less than five to the next.
     steps: float = 5.0
-    #: [1] share of missing input samples above which the record is refused
+    #: [1] share of missing samples of a channel whose whole spectrum is needed, above which a record is refused
+    #: physics: A filled sample has at most the power of the motion: the density changes by up to twice the share, the
+    #: same for all frequencies of a mode; frequency and damping ratio do not.
     most_missing: float = 0.1
     #: [1] share of the rows with an output, between the first and the last, below which the rates differ
     #: convention: Every second row; lost frames are fewer.
@@ -55,6 +57,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+MOST_MISSING = TUNING.most_missing
 
 
 def sparse_outputs(series: DisplacementSeries, known: KnownInput) -> Refusal | None:
@@ -82,8 +85,8 @@ def unusable(values: FloatArray, recorded: BoolArray, known: KnownInput) -> Refu
     """
     seen = np.isfinite(values)
     missing = float(np.mean(~seen[recorded]))
-    if missing > TUNING.most_missing:
-        percent, most = 100.0 * missing, 100.0 * TUNING.most_missing
+    if missing > MOST_MISSING:
+        percent, most = 100.0 * missing, 100.0 * MOST_MISSING
         return Reason.INPUT_MISSING(input=known.name, percent=percent, most_percent=most)
     values = values[seen]
     spread = float(np.std(values))

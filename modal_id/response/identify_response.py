@@ -19,8 +19,15 @@ from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
 from modal_id.response.known_input import criterion, fit_response
 from modal_id.response.lag import better_lag, fit_with_lag
 from modal_id.response.noise import InputNoise
-from modal_id.response.solution import TUNING as FRF
-from modal_id.response.solution import ResponseFit, coherence, left_at_mode, local_polynomial, model_bands
+from modal_id.response.other_clock import HIGHEST
+from modal_id.response.solution import (
+    MOST_FREQUENCIES,
+    ResponseFit,
+    coherence,
+    left_at_mode,
+    local_polynomial,
+    model_bands,
+)
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
 from modal_id.sentences import Note, Reason, Refusal, in_hz
 from modal_id.settings import IdentifySettings
@@ -32,9 +39,6 @@ from tracker import DisplacementSeries, Failure, FloatArray, KnownInput
 class Tuning:
     """Band of the fit, and what a mode and an input must be to be used."""
 
-    #: [1] highest frequency of the fit over the Nyquist frequency
-    #: physics: Above it the spline through the input loses more than 4 % of it.
-    highest: float = 0.6
     #: [1] rows with omitted ones over given rows above which the record is refused
     most_rows: float = 1.5
     #: [samples] longest gap of the input that a spline through its neighbours bridges
@@ -50,11 +54,13 @@ class Tuning:
     #: measurement: In 110 folded records (every second row of "broad" of benchmarks/known_input.py), the 17 modes that
     #: are off by more than 3.5 sd have at least 0.11.
     most_unexplained_sd: float = 0.1
-    #: [1] draws of the posterior
-    draws: int = 4000
+    #: [1] draws of a mode in each ensemble
+    #: statistics: Their 5 % quantile has an error of 0.05 sd.
+    draws: int = 2000
 
 
 TUNING = Tuning()
+DRAWS = TUNING.draws
 _ENSEMBLES = 4
 _ACCELERATION = frozenset({"m/s^2", "m/s²", "m/s2", "mm/s^2", "g"})
 
@@ -146,7 +152,7 @@ def _samples(
     # Missing outputs begin at a straight line between their neighbours; the fit replaces them by its own motion.
     for out, seen_here in enumerate(given.T):
         outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
-    highest = int(TUNING.highest * time_s.size / 2)
+    highest = int(HIGHEST * time_s.size / 2)
     return rows, Samples(time_s, outputs, given, full, 0, highest)
 
 
@@ -304,7 +310,7 @@ def _posterior(
     """Draws of frequency and damping ratio for a normal pole; there is no chain, and its diagnostics are NaN."""
     seed = (settings.seed, *settings.seed_key, index)
     generator = np.random.default_rng(seed)
-    scores = ndtri((np.arange(TUNING.draws) + 0.5) / TUNING.draws)
+    scores = ndtri((np.arange(_ENSEMBLES * DRAWS) + 0.5) / (_ENSEMBLES * DRAWS))
     normal = np.column_stack([generator.permutation(scores) for _ in range(2)])
     values, vectors = np.linalg.eigh(covariance)
     moved = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
@@ -358,7 +364,7 @@ def _response(
     settings: IdentifySettings,
 ) -> FrequencyResponse:
     samples = found.samples
-    step = max(1, samples.frequency_hz.size // FRF.frequencies)
+    step = max(1, samples.frequency_hz.size // MOST_FREQUENCIES)
     # Bins near a resonance, which a coarser grid would miss, are kept.
     distance = np.abs(samples.frequency_hz[:, None] - frequency_hz(found.poles))
     near = np.any(distance < 3.0 * np.abs(found.poles.real) / np.pi + 3.0 / samples.span_s, axis=1)

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modal_id.fit import MAX_DAMPING
 from modal_id.response.candidates import candidates, drives
 from modal_id.response.columns import PER_MODE, Samples
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import InputNoise, Noise, noise_after
 from modal_id.response.solution import ResponseFit, pole_slopes, scaled, significant, solve_at
-from modal_id.solve import shortened
+from modal_id.solve import MAX_ITERATIONS, shortened
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -19,19 +20,15 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Search for modes, iteration of their poles."""
 
-    #: [1] largest number of steps of the poles in a search
-    search_steps: int = 12
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5
     #: [1] places at which a mode beside others is tried before the search ends
     places: int = 3
-    #: [1] gain of a local fit, over what the criterion asks for, below which a mode is not tried
-    #: physics: A local fit takes part of a wide response for background.
+    #: [1] gain of a test or a local fit, over what the criterion asks for, below which a mode is not tried
+    #: measurement: A local fit takes part of a wide response for background; the gain after a fit is up to five times
+    #: that which the score test predicts.
     promising: float = 0.25
-    #: [1] damping ratio above which a fitted motion is no mode
-    #: physics: The response of a mode damped more has no resonance to tell its poles from a polynomial.
-    most_damping: float = 0.5
     #: [1] factor by which the damping ratio of a new mode may grow in the iteration
     #: physics: Twice that between the damping ratios that are tried; beyond, the pole follows other modes.
     most_growth: float = 6.0
@@ -48,6 +45,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+PLACES, PROMISING = TUNING.places, TUNING.promising
 
 
 def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: float) -> ResponseFit | None:
@@ -78,10 +76,10 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
         if found.poles.size >= max_modes:
             break
         before = Weighted(found.likely, found.poles, found.weights)
-        places = candidates(found, lowest_hz, TUNING.promising * penalty)
+        places = candidates(found, lowest_hz, PROMISING * penalty)
         places.sort(key=before.gain, reverse=True)
         if found.poles.size:
-            places = places[: TUNING.places]
+            places = places[:PLACES]
         tried = (_with_mode(found, before, pole, known, penalty) for pole in places)
         better = next((one for one in tried if one is not None), None)
     if not found.poles.size:
@@ -193,7 +191,7 @@ class Weighted:
     def converged(self) -> Weighted:
         """After as many steps as help."""
         found = self
-        for _ in range(TUNING.search_steps):
+        for _ in range(MAX_ITERATIONS):
             trial = found.stepped()
             if trial is None:
                 break
@@ -273,6 +271,4 @@ def _lag_step(found: ResponseFit) -> float:
 
 def is_mode(poles: ComplexArray) -> BoolArray:
     """Whether each motion decays, and oscillates."""
-    return np.asarray(
-        (poles.real < 0.0) & (poles.imag > 0.0) & (-poles.real < TUNING.most_damping * np.abs(poles))
-    )
+    return np.asarray((poles.real < 0.0) & (poles.imag > 0.0) & (-poles.real < MAX_DAMPING * np.abs(poles)))

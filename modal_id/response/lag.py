@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 
+from modal_id.posterior import BEYOND_SD
+from modal_id.response.candidates import TUNING as TRIED
 from modal_id.response.columns import FIXED, PER_MODE, Channel, Samples
 from modal_id.response.known_input import (
     Weighted,
@@ -21,6 +23,7 @@ from modal_id.response.known_input import (
 )
 from modal_id.response.solution import ResponseFit, solve_at, with_lag_variance
 from modal_id.sentences import Reason, Refusal
+from modal_id.solve import RIDGE
 from tracker import ComplexArray, FloatArray
 
 
@@ -36,16 +39,9 @@ class Tuning:
     first_rounds: int = 2
     #: [rounds] most searches of all modes, each at the lag that the one before gave
     lag_rounds: int = 4
-    #: [sd] change of the lag that needs no further search
-    #: statistics: What a wrong lag leaves is then below the noise, and taken for no mode.
-    settled: float = 3.0
     #: [modes] most modes of the first search
     #: measurement: What a wrong lag leaves is taken for further modes: 8 of them take 30 s of CPU.
     first_modes: int = 2
-    #: [1] damping ratio from which a pole found at a wrong lag is left out of the search for the lag
-    #: measurement: What a wrong lag leaves of a motion of the base over the whole band is taken for modes of 0.02 to
-    #: 0.5, which then follow any lag (seeds 0 and 1 of the broad records of benchmarks/known_input.py).
-    narrow_damping: float = 0.05
     #: [1] loss of log likelihood at which a lag is improbable
     #: statistics: Probability 5e-5; a normal posterior ends at 4.5 sd.
     improbable: float = 10.0
@@ -64,9 +60,6 @@ class Tuning:
     #: [lags] number of lags whose normal equations are solved together
     #: convention: Limits the memory.
     together: int = 500
-    #: [1] added to the diagonal of normal equations of unit columns
-    #: physics: Well above rounding, and below the noise of any record.
-    ridge: float = 1e-11
 
 
 TUNING = Tuning()
@@ -108,7 +101,8 @@ def fit_with_lag(
             lag_s = other_s
         elif found.lag_sd_s > limit_s:
             return Reason.LAG_UNCERTAIN(sd_ms=1e3 * found.lag_sd_s)
-        elif abs(moved_s) < TUNING.settled * found.lag_sd_s:
+        # What a wrong lag leaves is then below the noise, and taken for no mode.
+        elif abs(moved_s) < BEYOND_SD * found.lag_sd_s:
             better_s = _lag_of_fewer_modes(found, channel, limit_s)
             if better_s is None:
                 return _with_posterior(found, limit_s)
@@ -203,7 +197,7 @@ def most_likely_lag(found: ResponseFit, channel: Channel, limit_s: float) -> flo
     Outputs count alike at all frequencies: weights of a fit at a wrong lag are small where that lag shows, and those of
     the power of the outputs are large where only what leaks from the ends of the record is left.
     """
-    narrow = -found.poles.real < TUNING.narrow_damping * np.abs(found.poles)
+    narrow = -found.poles.real < TRIED.most_damping * np.abs(found.poles)
     poles = found.poles[narrow] if narrow.any() else found.poles
     samples = replace(found.samples, channel=channel)
     half_step_s = 0.5 * samples.step_s
@@ -283,8 +277,8 @@ def _left(
     normal[:, :p, :p], normal[:, p:, p:] = of_driven, of_free
     normal[:, :p, p:] = turned[:, :, :q]
     normal[:, p:, :p] = np.swapaxes(turned[:, :, :q], 1, 2)
-    normal += TUNING.ridge * np.eye(p + q)
+    normal += RIDGE * np.eye(p + q)
     free = np.broadcast_to(of_outputs, (len(turned), *of_outputs.shape))
     right = np.concatenate([turned[:, :, q:], free], axis=1)
     solved = np.linalg.solve(normal, right)
-    return np.asarray(np.maximum(1.0 - np.sum(solved * right, axis=1), TUNING.ridge))
+    return np.asarray(np.maximum(1.0 - np.sum(solved * right, axis=1), RIDGE))

@@ -9,6 +9,7 @@ from scipy.fft import rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import blackmanharris
 
+from modal_id.posterior import BEYOND_SD
 from modal_id.response.columns import Samples
 from modal_id.sentences import Note
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -35,15 +36,9 @@ class Tuning:
     #: [1] share of the frequencies up to the Nyquist frequency that a floor must cover to be noise
     #: convention: chosen; effect not measured
     least_cover: float = 0.1
-    #: [1] largest difference of both halves of a floor, over its standard deviation
-    #: statistics: Content that falls with a power of the frequency passes if it is not told from a constant.
-    slope_sd: float = 3.0
     #: [1] power that the input must have somewhere over its floor for the floor to be noise and not the input
     #: physics: An input below it would have no more than three times the amplitude of its noise.
     least_contrast: float = 10.0
-    #: [1] least power in the spectrum of the input over the largest
-    #: physics: Rounding, summed over a window.
-    rounding: float = 1e-14
     #: [1] amplitudes of the noise of the input whose probability is compared with what the fit leaves
     #: convention: A step of 2 % of the largest one.
     amplitudes: int = 51
@@ -107,12 +102,13 @@ class InputNoise:
         size = min(2 * TUNING.half_window + 1, used.size)
         inside = slice(size // 2, used.size - size // 2)
         level = uniform_filter1d(used, size)[inside]
-        # The running mean is rounded relative to its largest values.
-        level = np.maximum(level, TUNING.rounding * np.max(level) + 1e-300)
+        # The running mean is rounded relative to the sum of its largest values.
+        level = np.maximum(level, TUNING.least_noise * size * np.max(level) + 1e-300)
         floor = level < TUNING.floor * np.min(level)
         own, value = used[inside][floor], float(np.mean(level[floor]))
         half = own.size // 2
-        scatter = TUNING.slope_sd * np.sqrt(2.0 / max(1.0, TUNING.independent * half))
+        # Content that falls with a power of the frequency passes if it is not told from a constant.
+        scatter = BEYOND_SD * np.sqrt(2.0 / max(1.0, TUNING.independent * half))
         flat = abs(float(np.mean(own[:half])) - float(np.mean(own[half:]))) < scatter * value
         contrast = float(np.max(level)) > TUNING.least_contrast * value
         if not (flat and contrast and own.size > TUNING.least_cover * used.size):

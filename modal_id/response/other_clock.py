@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import kaiser_beta
 
 from modal_id.sentences import Reason, Refusal
 from tracker import FloatArray
@@ -14,13 +15,13 @@ from tracker import FloatArray
 class Tuning:
     """Low-pass filter between two rates."""
 
-    #: [1] half length of the filter, in steps of the outputs
-    #: physics: Kaiser's for 80 dB and a pass band up to 0.6 of the Nyquist frequency, the band of the fit, a stop band
-    #: from 1.4 of it; what the outputs' rate folds then lies above the fit.
-    half_length: float = 6.3
-    #: [1] parameter of Kaiser's window for 80 dB
-    #: physics: His formula, 0.1102 (80 - 8.7).
-    beta: float = 7.86
+    #: [dB] attenuation of the filter
+    #: physics: The pass band is then unchanged to 2e-4.
+    attenuation: float = 80.0
+    #: [1] end of its pass band over the outputs' Nyquist frequency, that of the fit
+    #: physics: Above it the spline through the input loses more than 4 % of it. What the outputs' rate folds lies above
+    #: where the stop band begins as far above the Nyquist frequency.
+    highest: float = 0.6
     #: [1] rate of the input over that of the outputs below which it is refused
     #: physics: An input that was recorded slower does not hold the whole band; 1 % for clocks that differ.
     least_rate: float = 0.99
@@ -30,6 +31,11 @@ class Tuning:
 
 
 TUNING = Tuning()
+HIGHEST = TUNING.highest
+
+# Parameter of Kaiser's window, and half length of the filter in steps of the outputs, by his formulas.
+_BETA = float(kaiser_beta(TUNING.attenuation))
+_HALF_LENGTH = 0.5 * (TUNING.attenuation - 7.95) / (2.285 * 2.0 * np.pi * (1.0 - HIGHEST))
 
 
 def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray | Refusal:
@@ -62,15 +68,15 @@ def at_other_times(given_s: FloatArray, values: FloatArray, time_s: FloatArray) 
     rate, own_rate = 1.0 / float(np.median(steps_s)), 1.0 / step_s
     if rate < TUNING.least_rate * own_rate:
         return Reason.INPUT_SLOWER(rate_hz=rate, own_hz=own_rate)
-    reach_s = TUNING.half_length * step_s
+    reach_s = _HALF_LENGTH * step_s
     first, last = np.searchsorted(given_s, time_s - reach_s), np.searchsorted(given_s, time_s + reach_s)
     found = np.full(time_s.size, np.nan)
     for k, at_s in enumerate(time_s):
         near = slice(int(first[k]), int(last[k]))
         x = (given_s[near] - at_s) / step_s
-        window = np.i0(TUNING.beta * np.sqrt(np.maximum(1.0 - (x / TUNING.half_length) ** 2, 0.0)))
+        window = np.i0(_BETA * np.sqrt(np.maximum(1.0 - (x / _HALF_LENGTH) ** 2, 0.0)))
         kernel = np.sinc(x) * window * weights[near]
-        total = float(np.sum(kernel)) / (step_s * float(np.i0(TUNING.beta)))
+        total = float(np.sum(kernel)) / (step_s * float(np.i0(_BETA)))
         if abs(total - 1.0) < TUNING.most_lost:
             found[k] = float(kernel @ values[near]) / float(np.sum(kernel))
     return found

@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
+from modal_id.fit import FALSE_ALARM
 from modal_id.response.columns import FIXED, PER_MODE, Samples, amplitudes, spline_gain, transfer
 from modal_id.response.noise import TUNING as NOISE
 from modal_id.response.noise import Noise
@@ -24,9 +25,6 @@ class Tuning:
     half_widths: float = 3.0
     #: [bins] at least on both sides
     least_bins: int = 4
-    #: [1] probability with which noise alone exceeds the power from which standard deviations are increased
-    #: statistics: One mode in a hundred is widened by chance.
-    false_alarm: float = 0.01
     #: [bins] half width of the window of a local polynomial
     #: statistics: 13 bins for 6 unknowns leave 7 complex degrees of freedom for the variance.
     half_window: int = 6
@@ -35,14 +33,15 @@ class Tuning:
     #: [1] draws of the fit from which bands are made
     #: statistics: The 5 % and 95 % quantiles scatter by a seventh of the standard deviation.
     draws: int = 200
-    #: [1] largest number of frequencies of the model
-    #: convention: A figure shows no more; each mode has its own beside them.
-    frequencies: int = 1000
+    #: [1] largest number of frequencies of a spectrum or response that is kept for a figure
+    #: convention: Wider than a screen; each mode has its own beside them.
+    frequencies: int = 1500
     #: [1] power of the input in a window, over its median power, below which there is no local estimate
     least_power: float = 1e-6
 
 
 TUNING = Tuning()
+MOST_FREQUENCIES = TUNING.frequencies
 
 
 @dataclass(frozen=True)
@@ -292,7 +291,7 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float, float]:
     -------
     over_weights : float
         Over the variance that its weights stand for; 1 where noise alone exceeds it with a probability above
-        `Tuning.false_alarm`. The variances of the mode are to be multiplied by it.
+        1 %. The variances of the mode are to be multiplied by it.
     over_beside : float
         Over the noise of the outputs on both sides, beyond the average that contains the mode, with the response to the
         noise of the input added.
@@ -317,7 +316,7 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float, float]:
     over_beside = float(np.sum(square / (beside + found.noise.input * gain)) / np.sum(free))
     # Outputs may have their noise in common: as many degrees of freedom as one of them has.
     freedom = float(np.sum(np.mean(free, axis=1)))
-    is_noise = power < chi2.isf(TUNING.false_alarm, freedom) / freedom
+    is_noise = power < chi2.isf(FALSE_ALARM, freedom) / freedom
     return 1.0 if is_noise else power, over_beside, freedom
 
 

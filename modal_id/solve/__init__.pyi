@@ -9,6 +9,7 @@ from .linear import Problem as Problem
 from .linear import solve_linear as solve_linear
 from .linear import without_fit as without_fit
 from .maximum import MAX_CONDITION as MAX_CONDITION
+from .maximum import MAX_ITERATIONS as MAX_ITERATIONS
 from .maximum import maximum as maximum
 from .maximum import shortened as shortened
 from .poles import MOST_GROWTH as MOST_GROWTH
