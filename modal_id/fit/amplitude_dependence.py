@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from modal_id.data import FitData
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit, own_decay
-from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
+from modal_id.fit.spectrum import CAUTION, ResidualSpectrum, power_spectrum, residual_spectrum
 from modal_id.solve import (
     MOST_GROWTH,
     MOST_RATE_PER_SAMPLE,
@@ -46,9 +46,6 @@ class Tuning:
     decay_times: float = 3.0
     #: [1] amplitude over that of the other mode from which both of a pair count
     comparable: float = 0.25
-    #: [1] factor on p log(n) of the information criterion for a pair
-    #: convention: 25 % more, because several starting values are tried.
-    caution: float = 1.25
 
 
 TUNING = Tuning()
@@ -383,4 +380,4 @@ def _better(
     data, k = alone.data, alone.data.values.shape[1]
     level = residual_spectrum(data, pair.residual, pair.noise_variance).level(frequency_hz) / k
     drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(level, 1e-300)
-    return bool(drop > TUNING.caution * (2.0 * k + poles) * np.log(np.sum(data.counts)))
+    return bool(drop > CAUTION * (2.0 * k + poles) * np.log(np.sum(data.counts)))

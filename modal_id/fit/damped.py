@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.data import FitData, bandwidth_hz, baseline_splines, rough_variance
+from modal_id.data import OUTLIER_SD, FitData, bandwidth_hz, baseline_splines, rough_variance
 from modal_id.fit.spectrum import LEAST_WINDOW, Candidate, nyquist_hz, power_spectrum, residual_spectrum
 from modal_id.solve import (
     LinearSolution,
@@ -56,9 +56,6 @@ class Tuning:
     decay_times: float = 5.0
     #: [samples] fewest samples of a part to which a wave is fitted
     least_samples: int = 8
-    #: [sd] power of the first samples above that of noise from which waves are looked for
-    #: statistics: Six standard deviations of a chi-square: chance is negligible.
-    excess: float = 6.0
 
 
 TUNING = Tuning()
@@ -125,7 +122,7 @@ def _exceeds_noise(data: FitData, linear: LinearSolution) -> bool:
     level = np.sum(power[half:], axis=0) / np.maximum(np.count_nonzero(data.weights[half:], axis=0), 1)
     total = np.cumsum(np.sum(power / np.maximum(level, 1e-300), axis=1))
     count = np.cumsum(np.count_nonzero(data.weights, axis=1))
-    return bool(np.any(total > count + TUNING.excess * np.sqrt(2.0 * count)))
+    return bool(np.any(total > count + OUTLIER_SD * np.sqrt(2.0 * count)))
 
 
 def _rough(data: FitData, candidate: Candidate) -> complex | None:

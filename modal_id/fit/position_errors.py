@@ -40,11 +40,8 @@ class Tuning:
     rounded_records: int = 16
     #: [sd] amplitude below which the shrinkage by a codec hardly changes
     small: float = 5.0
-    #: [1] correlation length of the shrinkage in asinh(amplitude)
+    #: [1] correlation length of the shrinkage in asinh(amplitude), and spacing of its knots
     correlation: float = 0.6
-    #: [1] spacing of the knots of the shrinkage in asinh(amplitude)
-    #: convention: Below the correlation length.
-    spacing: float = 0.5
     #: [1] number of groups below which the variance of a repeating error must be clear
     few: int = 4
     #: [1] multiple of the noise variance that so few groups must show
@@ -304,7 +301,7 @@ class _Functions:
         if strong.size:
             growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
             largest = growth * float(np.max(np.abs(amplitudes[strong]) / (TUNING.small * sd)))
-            knots = np.arange(0.0, np.arcsinh(largest) + TUNING.spacing, TUNING.spacing)
+            knots = np.arange(0.0, np.arcsinh(largest) + TUNING.correlation, TUNING.correlation)
         root = np.asarray(np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size)), dtype=float)
         return cls(model, errors, channels, mixed, amplitudes, strong, knots, root)
 

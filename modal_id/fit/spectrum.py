@@ -38,10 +38,14 @@ class Tuning:
     min_window_samples: int = 64
     #: [1] relative distance of frequencies within which lines are one
     same: float = 0.01
+    #: [1] factor on p log(n) of the information criterion for a line or a pair
+    #: convention: 25 % more, because the level around a line is an estimate and several windows or starts are tried.
+    caution: float = 1.25
 
 
 TUNING = Tuning()
 EVEN_STEPS, SAME_LINE, LEAST_WINDOW = TUNING.even, TUNING.same, TUNING.min_window_samples
+CAUTION = TUNING.caution
 
 
 _WIDE_BINS = TUNING.wide_bins
@@ -207,8 +211,7 @@ def least_level(power: FloatArray, channels: int) -> FloatArray:
 def line_threshold(channels: int, samples: int) -> float:
     """Smallest significant drop of half the sum of squares, in units of the noise, for one more mode."""
     # Twice the power is the drop of the sum of squares; the criterion asks for p log(n), p = 2 + 2 k parameters.
-    # 25 % more, because the level around the line is an estimate and several windows are searched.
-    return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels
+    return CAUTION * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels
 
 
 # A mode that decays early is detectable in the beginning of a record only.
