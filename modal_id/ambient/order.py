@@ -20,8 +20,9 @@ from modal_id.ambient.model import (
     responses,
     spectrum,
 )
+from modal_id.fit import PLACES
 from modal_id.modes import DECIDED
-from modal_id.response import PLACES, PROMISING
+from modal_id.response import PROMISING
 from tracker import ComplexArray, FloatArray
 
 

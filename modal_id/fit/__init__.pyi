@@ -11,6 +11,7 @@ from .modal_fit import ModalFit as ModalFit
 from .modal_fit import own_decay as own_decay
 from .model_order import FALSE_ALARM as FALSE_ALARM
 from .model_order import HIGHEST_OVERTONE as HIGHEST_OVERTONE
+from .model_order import PLACES as PLACES
 from .model_order import find_modes as find_modes
 from .model_order import refit as refit
 from .named_lines import with_named as with_named

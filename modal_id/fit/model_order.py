@@ -68,15 +68,15 @@ class Tuning:
     #: [1] least amplitude of a strongly damped mode beside others over the largest amplitude
     #: convention: What a release and errors of the other modes leave at the beginning is weaker.
     least_damped: float = 0.05
-    #: [1] largest number of strongly damped modes tried beside others
-    damped_trials: int = 3
+    #: [1] places at which a mode beside others is tried before the search for one ends
+    places: int = 3
     #: [1] the highest overtone that is tried as the highest line of a wave whose tops are missing
     #: convention: Higher ones are weaker.
     highest_overtone: int = 5
 
 
 TUNING = Tuning()
-FALSE_ALARM, HIGHEST_OVERTONE = TUNING.false_alarm, TUNING.highest_overtone
+FALSE_ALARM, HIGHEST_OVERTONE, PLACES = TUNING.false_alarm, TUNING.highest_overtone, TUNING.places
 
 
 def without_outliers(
@@ -360,7 +360,7 @@ def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
     """Add the strongly damped mode that the lines of the spectrum do not show; None without one."""
     data, fit = model.data, model.fit
     lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
-    for start in damped_starts(model.problem, fit.linear, lowest)[: TUNING.damped_trials]:
+    for start in damped_starts(model.problem, fit.linear, lowest)[:PLACES]:
         joint = refit(model, np.append(fit.poles, start), data, search=True)
         hz = frequency_hz(joint.fit.poles)
         pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)

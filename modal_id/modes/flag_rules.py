@@ -12,7 +12,7 @@ from modal_id.fit import OWN_BAND, ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.decays import DECAYS_SD
 from modal_id.modes.numbering import possible_aliases
-from modal_id.posterior import LITTLE_DECAY, MUCH_LEFT, SampledMode
+from modal_id.posterior import LINE_BINS, LITTLE_DECAY, MUCH_LEFT, SampledMode
 from modal_id.results import AmplitudeDependence
 from modal_id.sentences import Note
 from modal_id.settings import IdentifySettings
@@ -33,8 +33,6 @@ class Tuning:
     #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
     #: convention: A tenth.
     decade: float = 0.1
-    #: [bins] half-width of the band in which the residual is misfit of a mode, where a bin is 1 / span of the record
-    own_bins: float = 3.0
     #: [1] relative change of the frequency over the record below which it has no practical consequence
     #: convention: Chosen; effect on a severity.
     small_frequency_change: float = 5e-4
@@ -183,7 +181,7 @@ def signal_to_noise(model: ModalFit, index: int) -> float:
     spectrum, linear = model.spectrum, model.fit.linear
     beside = np.ones(spectrum.frequency_hz.size, dtype=bool)
     for hz in frequency_hz(model.fit.poles):
-        reach = max(OWN_BAND * float(hz), TUNING.own_bins / model.data.span_s)
+        reach = max(OWN_BAND * float(hz), LINE_BINS / model.data.span_s)
         beside &= np.abs(spectrum.frequency_hz - hz) > reach
     share = float(np.mean(spectrum.power[beside]) / np.mean(spectrum.power)) if np.any(beside) else 1.0
     noise = np.sqrt(linear.noise_variance * min(share, 1.0))

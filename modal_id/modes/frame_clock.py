@@ -18,6 +18,7 @@ from modal_id.data import baseline_matrix
 from modal_id.fit import ModalFit
 from modal_id.modes.aliases import MOST_SAMPLES
 from modal_id.modes.shapes import CLEAR_SD
+from modal_id.posterior import LINE_BINS
 from modal_id.solve import real_columns
 from tracker import BoolArray, ComplexArray, FloatArray
 
@@ -47,8 +48,6 @@ class Tuning:
     separate_bins: float = 8.0
     #: [1] highest order of a side band that is removed from the modes
     highest_order: int = 8
-    #: [bins] largest distance of a side band from its expected frequency
-    near_bins: float = 3.0
     #: [1] least MAC of a side band with the strongest mode
     same_shape: float = 0.8
     #: [1] largest difference of its decay rate from the mode's beyond their errors, over the decay rate
@@ -178,7 +177,7 @@ class DecayRecord:
         orders = np.arange(1, TUNING.highest_order + 1) * clock.ratio
         places = cycles[self.strongest] + np.concatenate([orders, -orders])
         beside = np.stack([cycles[:, None] - places, cycles[:, None] + places])
-        near = np.any(np.abs(beside - np.rint(beside)) < TUNING.near_bins / self.length, axis=(0, 2))
+        near = np.any(np.abs(beside - np.rint(beside)) < LINE_BINS / self.length, axis=(0, 2))
         near[self.strongest] = False
         return np.asarray(near)
 

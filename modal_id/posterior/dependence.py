@@ -28,8 +28,8 @@ class Tuning:
     #: [1] prior sd of the change of the frequency from small amplitude to that at the start, over the frequency
     #: measurement: The sample beam's modes 2 to 5 fall by 1e-4, a strip of 400 mm at 2 mm in mode 2 by 3e-5.
     frequency_prior: float = 1e-3
-    #: [bins] of 1 / length of the stretch in which the residual is compared with the noise, on either side of a mode
-    #: without a curve
+    #: [bins] distance from a frequency within which the power of a line there lies, where a bin is 1 / length of the
+    #: part of the record
     #: statistics: The power of seven bins of noise exceeds four times its mean six times in ten million.
     bins: int = 3
     #: [1] number of stretches of this length in the record, at least
@@ -43,7 +43,8 @@ class Tuning:
 
 
 TUNING = Tuning()
-MUCH_LEFT, LITTLE_DECAY, BEYOND_SD = TUNING.much_left, TUNING.little_decay, TUNING.beyond
+MUCH_LEFT, LITTLE_DECAY = TUNING.much_left, TUNING.little_decay
+BEYOND_SD, LINE_BINS = TUNING.beyond, TUNING.bins
 
 # Middles of parts of a record, over its length.
 _PARTS = (np.arange(400) + 0.5) / 400
@@ -122,7 +123,7 @@ def left_at_mode(
     count = int(data.span_s / length_s)
     if count < TUNING.least_stretches:
         return float("nan")
-    bins_hz = hz + np.arange(-TUNING.bins, TUNING.bins + 1) / length_s
+    bins_hz = hz + np.arange(-LINE_BINS, LINE_BINS + 1) / length_s
     weights = data.weights / linear.noise_variance
     edges = np.searchsorted(data.time_s, data.time_s[0] + length_s * np.arange(count))
     power = np.zeros(count)

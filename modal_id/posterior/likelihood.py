@@ -23,7 +23,7 @@ class Tuning:
     remainder: float = 1e-9
     #: [1] largest number of terms of the series
     max_terms: int = 60
-    #: [1] logarithm of the energy of a wave over what is left when it is negligible
+    #: [1] logarithm of the largest energy of a wave, or density, over one that is negligible
     #: physics: exp(-13.8) = 1e-6.
     negligible: float = 13.8
     #: [1] side of a tile over its least decay rate
@@ -38,6 +38,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+NEGLIGIBLE = TUNING.negligible
 
 
 class Likelihood(Protocol):
@@ -103,7 +104,7 @@ def reduce_mode(
         linear = solve_linear(problem, ModeColumns(problem.data.time_s, fit.poles))
         # The weights of averages count their samples: the variance of one is that of the whole fit.
         fit = replace(fit, linear=replace(linear, noise_variance=fit.linear.noise_variance))
-    least = 0.5 * TUNING.negligible / problem.data.span_s
+    least = 0.5 * NEGLIGIBLE / problem.data.span_s
     tiles = (2.0 * reach_per_s / float(_side(np.array(centre.real), least)) + 1.0) ** 2
     if tiles * problem.data.time_s.size > TUNING.max_tile_samples:
         return None
@@ -132,11 +133,7 @@ def _last_s(time_s: FloatArray, growth_per_s: float) -> float:
     energy *= np.exp(2.0 * growth_per_s * time_s)
     np.cumsum(energy, out=energy)
     return float(
-        time_s[
-            min(
-                int(np.searchsorted(energy, (1.0 - np.exp(-TUNING.negligible)) * energy[-1])), time_s.size - 1
-            )
-        ]
+        time_s[min(int(np.searchsorted(energy, (1.0 - np.exp(-NEGLIGIBLE)) * energy[-1])), time_s.size - 1)]
     )
 
 

@@ -15,7 +15,7 @@ from emcee.moves import Move
 from emcee.state import State
 from scipy.fft import irfft, next_fast_len, rfft
 
-from modal_id.posterior.likelihood import REACH_SD, PoleDensity
+from modal_id.posterior.likelihood import NEGLIGIBLE, REACH_SD, PoleDensity
 from modal_id.sentences import Reason
 from modal_id.settings import SamplerSettings
 from tracker import BoolArray, FloatArray
@@ -35,12 +35,6 @@ class Tuning:
     sectors: int = 32
     #: [1] number of rings added at a time
     rings: int = 8
-    #: [1] log density below the largest from which no further ring is added
-    #: physics: exp(-16) = 1e-7.
-    negligible: float = 16.0
-    #: [1] least density of a cell over the largest
-    #: physics: A cell whose corners all lie outside may contain a sliver.
-    least: float = 1e-6
     #: [1] number of steps whose proposals are drawn together
     #: convention: Limits the computing time.
     steps: int = 20
@@ -121,7 +115,7 @@ def polar_proposal(
         more = edges[values.shape[0] : values.shape[0] + TUNING.rings]
         corners = _positions(np.repeat(more, TUNING.sectors), np.tile(angle, more.size), factor)
         values = np.concatenate([values, log_density(corners).reshape(more.size, TUNING.sectors)])
-        if np.max(values[-more.size :]) < np.max(values) - TUNING.negligible:
+        if np.max(values[-more.size :]) < np.max(values) - NEGLIGIBLE:
             break
     largest = float(np.max(values))
     if not np.isfinite(largest):
@@ -129,7 +123,8 @@ def polar_proposal(
     density = np.exp(values - largest)
     # Corners of a cell: two edges, two angles.
     density = density[1:] + density[:-1]
-    density = np.maximum(0.25 * (density + np.roll(density, -1, axis=1)), TUNING.least)
+    # A cell whose corners all lie outside may contain a sliver.
+    density = np.maximum(0.25 * (density + np.roll(density, -1, axis=1)), np.exp(-NEGLIGIBLE))
     squares = edges[: values.shape[0]] ** 2
     mass = np.cumsum((density * np.diff(squares)[:, None]).ravel())
     return PolarProposal(factor, squares, np.log(density), mass / mass[-1])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.fit import MAX_DAMPING
+from modal_id.fit import MAX_DAMPING, PLACES
 from modal_id.response.candidates import candidates, drives
 from modal_id.response.columns import PER_MODE, Samples
 from modal_id.response.noise import TUNING as NOISE
@@ -23,8 +23,6 @@ class Tuning:
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5
-    #: [1] places at which a mode beside others is tried before the search ends
-    places: int = 3
     #: [1] gain of a test or a local fit, over what the criterion asks for, below which a mode is not tried
     #: measurement: A local fit takes part of a wide response for background; the gain after a fit is up to five times
     #: that which the score test predicts.
@@ -45,7 +43,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-PLACES, PROMISING = TUNING.places, TUNING.promising
+PROMISING = TUNING.promising
 
 
 def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: float) -> ResponseFit | None:
