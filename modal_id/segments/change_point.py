@@ -289,6 +289,7 @@ def driven_then_free(
 
 def _located(data: FitData, place: ChangeSearch, cycle_s: float, lowest_hz: float) -> ChangeSearch | None:
     """The time at which the motion changes within the reach of a place; None where it does not."""
+    data = data.averaged(max(1, int(cycle_s / (TUNING.points_per_cycle * data.step_s))))
     last, reach_s = float(data.time_s[-1]), BOUNDARY.reach_cycles * cycle_s
     low, high = max(place.time_s - place.reach_s, 0.0), min(place.time_s + place.reach_s, last)
     found = locate_boundary(data, 0.0, (low, high), last, cycle_s, lowest_hz)
