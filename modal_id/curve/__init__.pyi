@@ -6,4 +6,3 @@ from .laws import PowerLaw as PowerLaw
 from .laws import SaturatingLaw as SaturatingLaw
 from .laws import SplineLaw as SplineLaw
 from .track import LEAST_CYCLES as LEAST_CYCLES
-from .track import PASSES as PASSES

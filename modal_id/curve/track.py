@@ -42,7 +42,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-LEAST_CYCLES, PASSES = TUNING.least_cycles, TUNING.passes
+LEAST_CYCLES = TUNING.least_cycles
 
 
 # Samples whose columns are held at a time.
@@ -222,7 +222,7 @@ def follow(own: ModalFit) -> tuple[Track, LawFit | None] | None:
     seen = _Seen(alone, linear.amplitudes[0], linear.noise_variance, pole)
     wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
     track, fitted, variance = None, None, None
-    for _ in range(PASSES):
+    for _ in range(TUNING.passes):
         track = None if wave is None else seen.track(wave, variance)
         if track is None:
             return None

@@ -15,6 +15,7 @@ from .projection import project as project
 from .repeats import of_rows as of_rows
 from .repeats import repeated_rows as repeated_rows
 from .repeats import sampled_rows as sampled_rows
+from .samples import BEYOND_SD as BEYOND_SD
 from .samples import MIN_SAMPLES as MIN_SAMPLES
 from .samples import OUTLIER_SD as OUTLIER_SD
 from .samples import FitData as FitData

@@ -149,6 +149,9 @@ class Tuning:
     #: expected
     #: statistics: One good sample in two million.
     limit: float = 5.0
+    #: [sd] difference between two values that their errors do not explain
+    #: statistics: 0.3 % exceed it.
+    beyond: float = 3.0
     #: [1] share of a channel's samples that may be rejected wherever they lie; more show that the model lacks something
     few: float = 0.03
     #: [1] share that may be rejected where the samples are spread at random
@@ -163,7 +166,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-OUTLIER_SD = TUNING.limit
+OUTLIER_SD, BEYOND_SD = TUNING.limit, TUNING.beyond
 
 
 def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal_id.data import MIN_SAMPLES, FitData
+from modal_id.data import BEYOND_SD, MIN_SAMPLES, FitData
 from modal_id.fit import EVEN_STEPS
 from modal_id.flags import ModeFlag
 from modal_id.mode_values import Table, axes_or_new
-from modal_id.posterior import BEYOND_SD
 from modal_id.results import Identification, IdentifiedMode
 from modal_id.sentences import Note
 from modal_id.solve import Problem, gauss_newton, objective, pole

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data import BEYOND_SD
 from modal_id.fit import HIGHEST_OVERTONE
 from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
-from modal_id.posterior import BEYOND_SD, SampledMode
+from modal_id.posterior import SampledMode
 from modal_id.results import FailedMode
 from modal_id.sentences import Note, Reason, Refusal
 from tracker import ComplexArray, FloatArray, PositionErrors

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from modal_id.curve import PASSES
 from modal_id.data import FitData
 from modal_id.sentences import Reason, Refusal
 from modal_id.solve import LinearSolution
@@ -41,6 +40,8 @@ class Tuning:
     #: [1] sd of the position of either end, over the mean distance of stations
     #: physics: A px where a station has five.
     end_sd: float = 0.2
+    #: [1] number of passes
+    passes: int = 3
 
 
 TUNING = Tuning()
@@ -364,7 +365,7 @@ def _averaged(
 def _fitted(design: FloatArray, aim: FloatArray, prior: FloatArray) -> _Fit:
     """Least squares of values with an sd of 1, with the inverse prior variances of the amplitudes."""
     factor = 1.0
-    for _ in range(PASSES):
+    for _ in range(TUNING.passes):
         normal = design.T @ design / factor**2 + np.diag(prior)
         decomposed = cho_factor(normal)
         mean = cho_solve(decomposed, design.T @ aim / factor**2)

@@ -1,6 +1,5 @@
 from .cramer_rao import ModalBound as ModalBound
 from .cramer_rao import modal_bound as modal_bound
-from .dependence import BEYOND_SD as BEYOND_SD
 from .dependence import LINE_BINS as LINE_BINS
 from .dependence import LITTLE_DECAY as LITTLE_DECAY
 from .dependence import MUCH_LEFT as MUCH_LEFT

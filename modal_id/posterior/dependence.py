@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import expit, fdtrc
 
 from modal_id.curve import LEAST_CYCLES, amplitude_curve, explains
-from modal_id.data import are_many, outlier_share
+from modal_id.data import BEYOND_SD, are_many, outlier_share
 from modal_id.fit import DECAY_TIMES, FALSE_ALARM, AmplitudeFit, ModalFit, fit_amplitude_dependence
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
@@ -19,9 +19,6 @@ from modal_id.solve import damping_ratio, frequency_hz
 class Tuning:
     """What counts as a dependence, and what a record that hides it may have."""
 
-    #: [sd] difference that its errors do not explain
-    #: statistics: 0.3 % exceed it.
-    beyond: float = 3.0
     #: [1] prior sd of the slope zeta1 over zeta
     #: measurement: The damping of metal cantilevers in air falls by a third while the amplitude falls to a third.
     slope_prior: float = 0.25
@@ -44,7 +41,7 @@ class Tuning:
 
 TUNING = Tuning()
 MUCH_LEFT, LITTLE_DECAY = TUNING.much_left, TUNING.little_decay
-BEYOND_SD, LINE_BINS = TUNING.beyond, TUNING.bins
+LINE_BINS = TUNING.bins
 
 # Middles of parts of a record, over its length.
 _PARTS = (np.arange(400) + 0.5) / 400

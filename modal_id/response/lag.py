@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 
-from modal_id.posterior import BEYOND_SD
+from modal_id.data import BEYOND_SD
 from modal_id.response.candidates import TUNING as TRIED
 from modal_id.response.columns import FIXED, PER_MODE, Channel, Samples
 from modal_id.response.known_input import (

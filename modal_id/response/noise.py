@@ -9,7 +9,7 @@ from scipy.fft import rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import blackmanharris
 
-from modal_id.posterior import BEYOND_SD
+from modal_id.data import BEYOND_SD
 from modal_id.response.columns import Samples
 from modal_id.sentences import Note
 from tracker import BoolArray, ComplexArray, FloatArray
