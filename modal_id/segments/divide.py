@@ -21,9 +21,11 @@ from modal_id.segments.drive_odds import (
 from modal_id.segments.events import JOINS, Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
+    drive_then_decay,
     no_onset,
     record_start,
     release_onset,
+    settling_s,
     stop_of_shaking,
 )
 from modal_id.segments.lines import Tones, find_tones, line_blocks, without_swing
@@ -328,14 +330,16 @@ class _Division:
         """Onset where a drive ends between two times, where a change is known or looked for."""
         place = replace(place, time_s=place.time_s - start_s)
         part = self.data.between(start_s, end_s)
-        found = stop_of_shaking(part, self.variance, self.tones.wanted_hz, self.lowest_hz, self.base, place)
-        if found is None:
+        hz, lowest_hz = self.tones.wanted_hz, self.lowest_hz
+        change = drive_then_decay(part, self.variance, hz, lowest_hz, self.base, place)
+        if change is None:
             return None
-        driving, found = _Piece(start_s, start_s + found.time_s, None), _shifted(found, start_s)
-        free = _Piece(found.fit_from_s, end_s, None)
+        changes_s = start_s + change.time_s
+        driving = _Piece(start_s, changes_s, None)
+        free = _Piece(changes_s + settling_s(hz, part.step_s, change.sd_s, end_s - changes_s), end_s, None)
         if not self._keeps_amplitude(driving) or not self._drive_precedes(driving, free, prior):
             return None
-        return found
+        return _shifted(stop_of_shaking(part, change, hz, lowest_hz, self.base), start_s)
 
     def _probability(self, late: FitData, prior: float, follows: _Piece | None) -> float:
         """Probability that samples are driven, from what follows them as well."""

@@ -289,23 +289,28 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
     return min(delay_s, TUNING.max_settle_fraction * remaining_s)
 
 
-def stop_of_shaking(
+def drive_then_decay(
     data: FitData,
     variance: FloatArray,
     frequency: float,
     lowest_hz: float,
     base: BoolArray,
     place: ChangeSearch,
-) -> Onset | None:
-    """Onset where steady shaking ends and a free decay follows; None where the data show no such change.
+) -> DrivenThenFree | None:
+    """Where steady shaking ends and a free decay follows; None where the data show no such change.
 
     `data` hold the channels and, where the mask `base` is True, those of the moving base, to which the others are
     relative; `variance` is the noise variance of all of them, `place` that of a change that may be the end.
     Times are relative to `data`.
     """
     change = driven_then_free(data.channels(~base), variance[~base], frequency, place, lowest_hz)
-    if change is None or change.probability <= TUNING.likely:
-        return None
+    return None if change is None or change.probability <= TUNING.likely else change
+
+
+def stop_of_shaking(
+    data: FitData, change: DrivenThenFree, frequency: float, lowest_hz: float, base: BoolArray
+) -> Onset:
+    """Onset where steady shaking ends, at about a known time; the other arguments as of `drive_then_decay`."""
     step, last = data.step_s, float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
     decay = find_modes(data.from_time(begin), TUNING.max_excited, lowest_hz or 0.5 * change.drive_hz)
