@@ -7,16 +7,14 @@ channel, so that the search has a dozen dimensions for any number of channels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data import FitData
-from modal_id.segments.boundary import TUNING as BOUNDARY
-from modal_id.segments.boundary import locate_boundary
-from modal_id.solve import PoleFit, Problem, fit_poles, shortened
-from tracker import BoolArray, FloatArray
+from modal_id.solve import LongArray, PoleFit, Problem, fit_poles, real_columns, shortened
+from tracker import BoolArray, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -225,6 +223,10 @@ def search_instant(problem: PiecewiseProblem, start: FloatArray, reach_s: float)
     return min(found, key=lambda one: one.chi_square, default=None)
 
 
+# Samples at a time.
+_BLOCK = 8192
+
+
 @dataclass(frozen=True)
 class ChangeSearch:
     """Time of a change with its standard deviation; it is looked for up to a distance, 0 where it is known."""
@@ -256,9 +258,9 @@ class _Split:
 
 
 def driven_then_free(
-    data: FitData, variance: FloatArray, frequency_hz: float, place: ChangeSearch, lowest_hz: float
+    data: FitData, variance: FloatArray, frequency_hz: float, place: ChangeSearch
 ) -> DrivenThenFree | None:
-    """The change from driven to free motion, where the motion changes at a place; None where a side is too short.
+    """The change from driven to free motion at a place; None where a side is too short.
 
     Before it every channel moves with the drive (a sinusoid) and the transient of its start, after it with the free
     decay; offsets differ, since the base may stop anywhere. A motion that decays before the change as it does after is
@@ -269,13 +271,14 @@ def driven_then_free(
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    if place.reach_s > 0.0:
-        found = _located(data, place, 1.0 / frequency_hz, lowest_hz)
-        if found is None:
-            return None
-        place = found
     time, sd = place.time_s, place.sd_s
-    best = _split(thin, time, frequency_hz, variance)
+    best = split = _split(thin, time, frequency_hz, variance)
+    for _ in range(2 if place.reach_s > 0.0 else 0):
+        if split is None or best is None:
+            break
+        time, sd = _locate(data, variance, split, place.reach_s)
+        split = _split(thin, time, frequency_hz, variance)
+        best = best if split is None else replace(split, misfit=min(best.misfit, split.misfit))
     if best is None:
         return None
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
@@ -285,20 +288,6 @@ def driven_then_free(
     if not _settled(thin, time, frequency_hz, best.free):
         probability = 0.0
     return DrivenThenFree(time, sd, probability, abs(best.driven.poles[0].imag) / (2.0 * np.pi))
-
-
-def _located(data: FitData, place: ChangeSearch, cycle_s: float, lowest_hz: float) -> ChangeSearch | None:
-    """The time at which the motion changes within the reach of a place; None where it does not."""
-    data = data.averaged(max(1, int(cycle_s / (TUNING.points_per_cycle * data.step_s))))
-    last, reach_s = float(data.time_s[-1]), BOUNDARY.reach_cycles * cycle_s
-    low, high = max(place.time_s - place.reach_s, 0.0), min(place.time_s + place.reach_s, last)
-    found = locate_boundary(data, 0.0, (low, high), last, cycle_s, lowest_hz)
-    # at the first sample that may be the change, the motion after it explains all of them
-    if found is None or not found.sd_s < reach_s or found.start_s < low - reach_s + 2.0 * data.step_s:
-        return None
-    # where no motion is known before it, what lies between is not, either
-    gap_s = found.start_s - found.end_s if found.end_s > low else 0.0
-    return ChangeSearch(found.start_s - 0.5 * gap_s, float(np.hypot(found.sd_s, gap_s / np.sqrt(12.0))))
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
@@ -368,3 +357,77 @@ def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -
     if cycles < TUNING.few_driven_cycles and TUNING.rate_sd * sd > -TUNING.few_driven_sd * decay:
         return False
     return rate > TUNING.driven_decay * decay - TUNING.rate_sd * sd
+
+
+def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:
+    """Time of the change and its standard deviation, with poles held and every sample in the window a candidate."""
+    time = data.time_s
+    begin = np.searchsorted(time, split.time_s - window_s)
+    end = np.searchsorted(time, split.time_s + window_s)
+    step, margin = data.step_s, 6
+    rows = np.arange(max(int(begin), margin), min(int(end), time.size - margin))
+    if rows.size < 3:
+        return split.time_s, step
+    shifted = time - split.time_s
+    poles = np.concatenate([split.driven.poles, split.free.poles])
+    left = _Waves(shifted, poles if abs(poles[0] - poles[1]) * window_s > 0.05 else poles[:1])
+    right = _Waves(shifted[::-1], poles[1:])
+    total = np.zeros(rows.size)
+    for channel in range(data.values.shape[1]):
+        y, w = data.values[:, channel], data.weights[:, channel]
+        before = _running_rss(left, y, w, rows[0] - 1, rows.size)
+        after = _running_rss(right, y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
+        total += (before + after) / variance[channel]
+    samples = float(np.count_nonzero(data.weights))
+    scaled = total / max(float(np.min(total)) / samples, 1.0)
+    mass = np.exp(-0.5 * (scaled - np.min(scaled)))
+    mass /= np.sum(mass)
+    # The change may lie anywhere between the last driven and the first free sample.
+    middle = 0.5 * (time[rows] + time[rows - 1])
+    mean = float(np.sum(mass * middle))
+    sd = float(np.sqrt(np.sum(mass * (middle - mean) ** 2) + step**2 / 12.0))
+    return mean, sd
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """An offset and decaying waves, real and imaginary parts, made row by row; times from the change."""
+
+    time_s: FloatArray
+    poles: ComplexArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.time_s.size, 1 + 2 * self.poles.size
+
+    def __getitem__(self, rows: slice) -> FloatArray:
+        time_s = self.time_s[rows, None]
+        # Bounded far from the change, where the waves carry no information about it.
+        growth = np.clip(time_s * self.poles.real, -20.0, 20.0)
+        waves = np.exp(growth + 1j * time_s * self.poles.imag)
+        return np.concatenate([np.ones_like(time_s), real_columns(waves)], axis=1)
+
+
+def _running_rss(
+    columns: LongArray, values: FloatArray, weights: FloatArray, first: int, count: int
+) -> FloatArray:
+    """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""
+    p = columns.shape[1]
+    total = np.zeros((p + 1, p + 1))
+    for begin in range(0, first, _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, first))
+        joined = np.concatenate([columns[rows], values[rows, None]], axis=1)
+        total += (weights[rows, None] * joined).T @ joined
+    found, end = [], min(first + count, values.size)
+    for begin in range(first, end, _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, end))
+        joined = np.concatenate([columns[rows], values[rows, None]], axis=1)
+        products = weights[rows, None, None] * joined[:, :, None] * joined[:, None, :]
+        products[0] += total
+        np.cumsum(products, axis=0, out=products)
+        total = products[-1].copy()
+        gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
+        ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
+        solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]
+        found.append(np.maximum(square - np.sum(cross * solved, axis=1), 0.0))
+    return np.concatenate(found)

@@ -331,7 +331,7 @@ class _Division:
         place = replace(place, time_s=place.time_s - start_s)
         part = self.data.between(start_s, end_s)
         hz, lowest_hz = self.tones.wanted_hz, self.lowest_hz
-        change = drive_then_decay(part, self.variance, hz, lowest_hz, self.base, place)
+        change = drive_then_decay(part, self.variance, hz, self.base, place)
         if change is None:
             return None
         changes_s = start_s + change.time_s

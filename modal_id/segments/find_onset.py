@@ -290,12 +290,7 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
 
 
 def drive_then_decay(
-    data: FitData,
-    variance: FloatArray,
-    frequency: float,
-    lowest_hz: float,
-    base: BoolArray,
-    place: ChangeSearch,
+    data: FitData, variance: FloatArray, frequency: float, base: BoolArray, place: ChangeSearch
 ) -> DrivenThenFree | None:
     """Where steady shaking ends and a free decay follows; None where the data show no such change.
 
@@ -303,7 +298,7 @@ def drive_then_decay(
     relative; `variance` is the noise variance of all of them, `place` that of a change that may be the end.
     Times are relative to `data`.
     """
-    change = driven_then_free(data.channels(~base), variance[~base], frequency, place, lowest_hz)
+    change = driven_then_free(data.channels(~base), variance[~base], frequency, place)
     return None if change is None or change.probability <= TUNING.likely else change
 
 

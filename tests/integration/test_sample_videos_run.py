@@ -125,7 +125,10 @@ def test_damping_laws_are_compared_over_the_modes_at_small_amplitude(out):
     assert {"constant", "viscous_air", "caughey", "rayleigh_all_modes"} <= {row["law"] for row in laws}
     assert not any("thermoelastic" in row["law"] for row in laws)
     small = {row["mode"]: row["damping_ratio_small_amplitude"] for row in target_rows(out).values()}
-    assert {(row["mode"], row["damping_ratio_measured"]) for row in left_out} == set(small.items())
+    assert {row["mode"] for row in left_out} == set(small)
+    for row in left_out:
+        # one number by two ways: a rounding or two of 1e-16
+        assert float(row["damping_ratio_measured"]) == pytest.approx(float(small[row["mode"]]), rel=1e-15)
     assert [row["mode"] for row in parts] == [str(number) for number in range(1, 6) for _ in range(4)]
 
 
