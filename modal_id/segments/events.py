@@ -16,6 +16,7 @@ from modal_id.fit import ModalFit
 from modal_id.segments.boundary import TUNING as BOUNDARY
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
 from modal_id.segments.change_point import ChangeSearch
+from modal_id.segments.drive_odds import BETWEEN_SD
 from modal_id.segments.partition import Change, find_changes
 from modal_id.solve import mode_functions, real_columns
 from tracker import FloatArray
@@ -149,7 +150,8 @@ def _event(
     if place is None:
         return None
     event = _of_kind(data, place, before, after, cycle_s)
-    if before is None or after is None or event.jump >= TUNING.joins or not _goes_on(before, after, data):
+    joins = event.kind == "interruption" and event.jump < TUNING.joins
+    if before is None or after is None or not joins or not _goes_on(before, after, data):
         return event
     # the strongest motion goes on; only samples that neither side explains are disturbed
     apart = event.end_s - event.start_s > 1.5 * data.step_s
@@ -192,16 +194,19 @@ def _one_motion(
 
 
 def _goes_on(before: Motion, after: Motion, data: FitData) -> bool:
-    """Whether the strongest wave of both sides is one: its pole changes as little as that of one motion may.
+    """Whether the strongest wave of both sides is one: it decays, and its pole changes as little as one motion's may.
 
     Weak modes, which die out or beat with others nearby, explain what one motion leaves.
     """
     sd = np.sqrt(rough_variance(data))
     if not before.poles.size or not after.poles.size:
         return False
-    change = after.poles[_strongest(after, sd)] - before.poles[_strongest(before, sd)]
+    poles = [complex(side.poles[_strongest(side, sd)]) for side in (before, after)]
+    low, high = sorted(-pole.real for pole in poles)
     half_s = 0.5 * min(float(np.ptp(side.span_s)) for side in (before, after))
-    return abs(complex(change)) * half_s < TUNING.bends
+    # two sd of the scatter of the damping ratio between free decays of one structure
+    scatter = float(np.exp(2.0 * BETWEEN_SD))
+    return abs(poles[1] - poles[0]) * half_s < TUNING.bends and high < scatter * low
 
 
 def _strongest(motion: Motion, sd: FloatArray) -> int:
