@@ -24,6 +24,11 @@ class Tuning:
     #: [1] predicted gain in log likelihood below which the maximum is reached
     #: statistics: A hundredth of the gain that moves a parameter by one sd, 0.5.
     converged: float = 5e-3
+    #: [steps] number of steps after which a fit that falls short is given up
+    patience: int = 6
+    #: [1] gain that a fit may still have over that which its next step predicts
+    #: measurement: Fits that gained more than twice the prediction of the seventh step are not seen.
+    optimism: float = 3.0
     #: [1] largest change of the logarithm of a frequency over that of the damping ratio in a step
     longest: float = 0.7
     #: [1] prior sd of the coherence of a mode's force with the background
@@ -305,8 +310,12 @@ class BandFit:
         return 0.5 * float(np.linalg.slogdet(self.covariance[own, own] / TUNING.coherent_sd**2)[1])
 
 
-def fit_band(model: BandModel, data: BandData, limits_hz: tuple[float, float]) -> BandFit:
+def fit_band(
+    model: BandModel, data: BandData, limits_hz: tuple[float, float], wanted: float = -np.inf
+) -> BandFit:
     """Maximise the likelihood from a first guess, frequencies kept within the limits.
+
+    Ends early where the logarithm of the likelihood will not reach `wanted`.
 
     In directions in which the background is white and the modes come first: in others, where a mode is far above the
     noise, its shape and the background can only turn together. Fisher scoring with Levenberg's damping: the expected
@@ -315,9 +324,11 @@ def fit_band(model: BandModel, data: BandData, limits_hz: tuple[float, float]) -
     model, data = _whitened(model, data)
     value, damping = log_likelihood(model, data), 1e-3
     gradient, information = _score(model, data)
-    for _ in range(MAX_ITERATIONS):
+    for count in range(MAX_ITERATIONS):
         scale = np.maximum(np.diag(information), 1e-12)
         step = np.asarray(np.linalg.solve(information + damping * np.diag(scale), gradient), dtype=np.float64)
+        if count > TUNING.patience and value + TUNING.optimism * float(gradient @ step) < wanted:
+            break
         trial = _limited(model, model.vector + _shortened(step, model.count), data, limits_hz)
         reached = log_likelihood(trial, data)
         if not reached > value:

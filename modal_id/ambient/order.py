@@ -39,6 +39,10 @@ class Tuning:
     #: [half-widths] smaller of the two half-widths tried for two modes in place of one
     #: physics: One mode fitted to two is wider than either.
     pair_width: float = 0.5
+    #: [sd] misfit of one mode from which two are tried in its place
+    #: statistics: One mode exceeds it in one band of six. A pair that the evidence accepts gains at least 25 in log
+    #: likelihood: 50 in chi-square, whose sd is 15 to 50, so that it has a misfit of 1 to 3 at least.
+    pair_misfit: float = 1.0
     #: [bins] frequencies in a mean of the misfit
     #: measurement: One mode fitted to two (seeds 1131, 1116) has a misfit of 12 and 8, 3 and 3 with means of 8; seven
     #: other bands have 2.2 at most.
@@ -160,10 +164,11 @@ def choose_order(
         further = []
         if fit.model.count or not guesses:
             further += further_modes(fit, limits_hz, [half for _, half in peaks], price)
-        if fit.model.count == 1:
+        if fit.model.count == 1 and Order(fit, ()).misfit > TUNING.pair_misfit:
             further += pair_instead(fit, limits_hz)
         for guess, seen in (*guesses, *((one, fit.data) for one in further)):
-            trial = fit_band(guess, seen, limits_hz)
+            wanted = fit.log_likelihood + price if best is None else best.log_likelihood
+            trial = fit_band(guess, seen, limits_hz, wanted)
             if best is None or trial.log_likelihood > best.log_likelihood:
                 best = trial
         if best is None:

@@ -18,6 +18,9 @@ from tracker import FloatArray
 class Tuning:
     """Laws of the damping and their average."""
 
+    #: [1] log odds against a law from which it is left out of the average
+    #: physics: exp(-40) of the weight.
+    negligible: float = 40.0
     #: [1] number of points of the amplitude curve
     points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
@@ -62,7 +65,7 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
     fits = _all_fits(track, flexible, constant)
     best = max(fits, key=_log_weight)
     final = track.with_noise_around(best[1])
-    again = [(prior, final.fit(fit.law, fit.parameters)) for prior, fit in fits]
+    again = [(prior, final.fit(fit.law, fit.parameters)) for prior, fit in fits if _near(best, (prior, fit))]
     fits = [(prior, fit) for prior, fit in again if fit is not None] or [best]
     weights = np.exp(np.array([_log_weight(fit) for fit in fits]) - max(map(_log_weight, fits)))
     weights /= np.sum(weights)
@@ -94,6 +97,10 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
 def _log_weight(fit: tuple[float, LawFit]) -> float:
     """Logarithm of the posterior probability of a law, up to a constant, from (its logarithmic prior, its fit)."""
     return fit[0] + fit[1].log_evidence
+
+
+def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
+    return _log_weight(best) - _log_weight(fit) < TUNING.negligible
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:

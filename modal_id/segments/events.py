@@ -32,7 +32,7 @@ class Tuning:
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
     #: [1] change of the pole of one motion, over half its length, that counts as none
-    #: measurement: Weak modes and damping that depends on the amplitude let it change by 0.15 at most in four public
+    #: measurement: Weak modes and damping that depends on the amplitude let it change by 0.16 at most in four public
     #: recordings that were divided; a hand changes it by more than 1 in a few cycles.
     bends: float = 0.3
     #: [1] largest ratio of the decay rates at its ends

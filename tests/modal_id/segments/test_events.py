@@ -48,3 +48,17 @@ def test_a_decay_goes_on_across_a_gap():
     y = decay(t, 20.0, 0.004, 1.0, 0.3) + 0.01 * rng.standard_normal(t.size)
     weights = np.where((t > 1.5) & (t < 3.7), 0.0, 1.0)[:, None]
     assert find_events(FitData(t, y[:, None] * weights, weights), (20.0,), 0.0) == ([], [])
+
+
+def test_a_decay_whose_damping_grows_with_the_amplitude_is_not_cut_beside_weak_modes():
+    """Two weak modes die within a third of it: what only one side of a place shows is no change of the motion."""
+    rng = np.random.default_rng(7)
+    t = np.arange(4800) / 400.0
+    # a' = -s a (1 + q a), and a frequency that falls by 1.3 % with the amplitude
+    s, q, falls = 16 * np.pi * 10 ** rng.uniform(-2.6, -1.9), rng.uniform(0.5, 3), rng.uniform(0, 0.015)
+    left = 1 + q - q * np.exp(-s * t)
+    y = np.exp(-s * t) / left * np.cos(16 * np.pi * (t - falls * np.log(left) / (s * q)))
+    y += decay(t, 50.0, 0.008, 0.2, 1.0) + decay(t, 24.3, 0.01, 0.1, 1.0)
+    y += 0.0005 * rng.standard_normal(t.size)
+    events, _ = find_events(FitData(t, y[:, None], np.ones((t.size, 1))), (8.0, 50.0), 0.0)
+    assert not [one for one in events if one.kind != "burst"], events
