@@ -1,5 +1,6 @@
 from .average import amplitude_curve as amplitude_curve
 from .average import explains as explains
+from .average import is_one_curve as is_one_curve
 from .law_fit import decay_of_law as decay_of_law
 from .law_fit import wave_of_law as wave_of_law
 from .laws import PowerLaw as PowerLaw

@@ -218,7 +218,7 @@ def follow(own: ModalFit) -> tuple[Track, LawFit | None] | None:
     pole = complex(own.fit.poles[0])
     if pole.real >= 0.0:
         return None
-    alone, linear = own_problem(own.problem, own.fit, 0), own.fit.linear
+    alone, linear = own_problem(own.problem, own.fit, np.array([0])), own.fit.linear
     seen = _Seen(alone, linear.amplitudes[0], linear.noise_variance, pole)
     wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
     track, fitted, variance = None, None, None

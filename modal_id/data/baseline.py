@@ -58,25 +58,23 @@ class Splines:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> csr_array:
         """Some rows of the columns, sparse."""
-        if _OVERLAPPING * self.time_s.size > FEW_VALUES:
-            return self._at(self.time_s[rows])
-        # SciPy takes longer for a copy of all rows than for most products.
-        is_all = isinstance(rows, slice) and rows.indices(self.time_s.size) == (0, self.time_s.size, 1)
-        return self._all if is_all else self._all[rows]
-
-    @cached_property
-    def _all(self) -> csr_array:
-        """All rows, where they are few enough to be held."""
-        return self._at(self.time_s)
-
-    def _at(self, time_s: FloatArray) -> csr_array:
         if not self.knots.size:
             start, end = float(self.time_s[0]), float(self.time_s[-1])
-            centred = (time_s - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
-            return csr_array(np.column_stack([np.ones_like(time_s), centred]))
-        entries, columns = _cubic(np.ascontiguousarray(time_s), self.knots)
-        rows = np.arange(0, entries.size + 1, _OVERLAPPING, dtype=np.int32)
-        return csr_array((entries.ravel(), columns.ravel(), rows), shape=(time_s.size, self.shape[1]))
+            centred = (self.time_s[rows] - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
+            return csr_array(np.column_stack([np.ones_like(centred), centred]))
+        if _OVERLAPPING * self.time_s.size > FEW_VALUES:
+            entries, columns = _cubic(np.ascontiguousarray(self.time_s[rows]), self.knots)
+        else:
+            entries, columns = self._held[0][rows], self._held[1][rows]
+        # Put together from entries that are held: SciPy takes longer for some rows of an array than for most products.
+        first = np.arange(0, entries.size + 1, _OVERLAPPING, dtype=np.int32)
+        shape = (entries.shape[0], self.shape[1])
+        return csr_array((entries.ravel(), columns.ravel(), first), shape=shape)
+
+    @cached_property
+    def _held(self) -> tuple[FloatArray, NDArray[np.int32]]:
+        """Entries and columns of all rows, where they are few enough to be held."""
+        return _cubic(np.ascontiguousarray(self.time_s), self.knots)
 
 
 def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from modal_id.data import FitData
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit, own_decay
-from modal_id.fit.spectrum import CAUTION, ResidualSpectrum, power_spectrum, residual_spectrum
+from modal_id.fit.spectrum import CAUTION, ResidualSpectrum, residual_spectrum
+from modal_id.fit.subspace import close_poles
 from modal_id.solve import (
     MOST_GROWTH,
     MOST_RATE_PER_SAMPLE,
@@ -46,6 +47,12 @@ class Tuning:
     decay_times: float = 3.0
     #: [1] amplitude over that of the other mode from which both of a pair count
     comparable: float = 0.25
+    #: [beats] least part of a beat of two modes that alone explain the record
+    #: physics: From in phase to opposed. The sum of waves that turn less is that of a mode with dry friction.
+    least_beat: float = 0.5
+    #: [1] ratio of a frequency to that of a pair up to which other modes are fitted anew beside it
+    #: convention: Faster ones hardly move with what one mode leaves of a pair.
+    beside: float = 5.0
     #: [1] score of what the amplitude-dependent mode leaves, below which no pair is needed
     #: statistics: The largest of 20 bins of noise. Without it, a mode of a public recording at 27.57 Hz has a damping
     #: ratio of 0.3 +- 58 %, by a pair that explains nothing more.
@@ -214,7 +221,7 @@ def fit_amplitude_dependence(
     factor = thinning(problem.data.time_s, fit.poles[mode : mode + 1])
     if factor > 1:
         # Averages of neighbouring samples, other modes subtracted, give an inexpensive starting value.
-        thin = own_problem(problem, fit, mode).thinned(factor)
+        thin = own_problem(problem, fit, np.array([mode])).thinned(factor)
         near = _gauss_newton(thin, no_columns(thin.data.time_s), start, power)
         start = start if near is None else near.parameters
     return _gauss_newton(problem, others, start, power)
@@ -278,9 +285,6 @@ class _Solved:
         return self.slopes, slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
 
 
-_GUESSES = (0.5, 1.0, 2.0, 4.0)
-
-
 @dataclass(frozen=True)
 class Split:
     """A pair of poles that fits better than one pole, with or without amplitude dependence.
@@ -299,38 +303,54 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
 
     `spectrum` is that of the residual of all modes.
     """
-    frequency = float(frequency_hz(fit.poles)[mode])
-    # The selection of the order covers the rest.
-    half = max(OWN_BAND * frequency, 2.5 / problem.data.span_s)
-    rate = abs(float(fit.poles[mode].real))
-    if rate * problem.data.span_s > 4.0 * DECAY_TIMES:
-        spectrum = _of_decay(problem.data, fit.linear, rate)
-    if spectrum.misfit_score(frequency, half) < 1.0:
+    hz, pole = frequency_hz(fit.poles), complex(fit.poles[mode])
+    near = float(hz[mode]), _reach_hz(float(hz[mode]), problem.data.span_s)
+    if -pole.real * problem.data.span_s > 4.0 * DECAY_TIMES:
+        spectrum = _of_decay(problem.data, fit.linear, pole)
+    if spectrum.misfit_score(*near) < 1.0:
         return None
-    pole = fit.poles[mode : mode + 1]
-    alone = own_problem(problem, fit, mode)
-    factor = thinning(alone.data.time_s, pole)
-    alone = alone if factor < 2 else alone.thinned(factor)
-    single = gauss_newton(alone, pole)
-    pair = _best_pair(alone, pole[0], half)
-    if pair is None:
+    # What one mode leaves of a pair moves those beside it, which must be fitted anew with the pair.
+    beside = np.flatnonzero((hz < TUNING.beside * hz[mode]) & (np.arange(hz.size) != mode))
+    modes = np.append(mode, beside)
+    several = own_problem(problem, fit, modes)
+    factor = thinning(several.data.time_s, fit.poles[modes])
+    several = several if factor < 2 else several.thinned(factor)
+    data, single = several.data, gauss_newton(several, fit.poles[modes])
+    laws = [fit_amplitude_dependence(several, single, 0, power) for power in (1, 2)]
+    law = min((f.linear for f in laws if f is not None), key=lambda one: objective(data, one), default=None)
+    one = single.linear if law is None else law
+    if _of_decay(data, one, pole).misfit_score(*near) < TUNING.least_misfit:
         return None
-    amplitude_fit = fit_amplitude_dependence(alone, single, 0)
-    one = single.linear if amplitude_fit is None else amplitude_fit.linear
-    if _of_decay(alone.data, one, rate).misfit_score(frequency, half) < TUNING.least_misfit:
+    pair = _best_pair(several, single)
+    if pair is None or not _better(several, pair.linear, single.linear, near[0], 2):
         return None
-    if not _better(alone, pair.linear, single.linear, frequency, 2) or not _better(
-        alone, pair.linear, one, frequency, 2 if amplitude_fit is None else 0
-    ):
+    if law is not None and not _better(several, pair.linear, law, near[0], 0):
         return None
-    resolved = are_resolved(pair.poles, alone.data.span_s)
-    return Split(pair.poles, resolved, strong_poles(pair.poles, pair.linear.amplitudes))
+    two = pair.poles[:2]
+    resolved = are_resolved(two, data.span_s) or only_two_explain(data, pair, one, pole)
+    return Split(two, resolved, strong_poles(two, pair.linear.amplitudes[:2]))
 
 
-def _of_decay(data: FitData, linear: LinearSolution, rate_per_s: float) -> ResidualSpectrum:
+def _reach_hz(frequency: float, span_s: float) -> float:
+    """Distance from a mode within which another may have been taken for it; the search for lines finds the rest."""
+    return max(OWN_BAND * frequency, 2.5 / span_s)
+
+
+def _of_decay(data: FitData, linear: LinearSolution, pole: complex) -> ResidualSpectrum:
     """Spectrum of the residual during the decay: noise long after the decay would hide its misfit."""
-    part = data.rows(data.time_s < 2.0 * DECAY_TIMES / max(rate_per_s, 1e-300))
+    part = data.rows(data.time_s < 2.0 * DECAY_TIMES / max(abs(pole.real), 1e-300))
     return residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
+
+
+def only_two_explain(data: FitData, two: PoleFit, one: LinearSolution, pole: complex) -> bool:
+    """Whether two modes of half a beat, which come first, leave nothing but noise near a pole, and one leaves more."""
+    hz = float(frequency_hz(pole))
+    near = hz, _reach_hz(hz, data.span_s)
+    left = [_of_decay(data, linear, pole).misfit_score(*near) for linear in (two.linear, one)]
+    # What one mode leaves is mostly the other.
+    chi_square = [float(np.sum(fit.rss / two.linear.noise_variance)) for fit in (one, two.linear)]
+    explain = left[0] < 1.0 <= left[1] and chi_square[0] > 2.0 * chi_square[1]
+    return explain and are_resolved(two.poles[:2], data.span_s, TUNING.least_beat)
 
 
 def strong_poles(poles: ComplexArray, amplitudes: ComplexArray) -> ComplexArray:
@@ -339,44 +359,45 @@ def strong_poles(poles: ComplexArray, amplitudes: ComplexArray) -> ComplexArray:
     return np.asarray(poles[size >= TUNING.comparable * np.max(size)])
 
 
-def are_resolved(poles: ComplexArray, span_s: float) -> bool:
+def are_resolved(poles: ComplexArray, span_s: float, beats: float = 1.0) -> bool:
     """Whether two poles beat within the record and their half-power bands do not overlap.
 
     A mode with amplitude-dependent stiffness has, at its own frequency, a component that decays three times as fast:
     such a pair is one mode.
     """
     distance = abs(float(poles[0].imag - poles[1].imag))
-    return bool(distance * span_s > 2.0 * np.pi and distance > np.sum(np.abs(poles.real)))
+    return bool(distance * span_s > 2.0 * np.pi * beats and distance > np.sum(np.abs(poles.real)))
 
 
-def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
-    centre = float(frequency_hz(pole))
-    # In a record much longer than the decay, only the decay distinguishes frequencies.
-    span = min(alone.data.span_s, DECAY_TIMES / max(abs(pole.real), 1e-300))
-    strongest = _strongest_hz(alone, centre, half_hz)
-    found: list[PoleFit] = []
-    for middle in (centre, strongest):
-        for guess in _GUESSES:
-            offset_rad_s = 2.0 * np.pi * guess / span
-            start = -1.0 / span + 2j * np.pi * middle + 1j * offset_rad_s * np.array([-1.0, 1.0])
-            fit = gauss_newton(alone, start)
-            if _is_plausible(fit, centre, half_hz):
-                found.append(fit)
-    return min(found, key=lambda fit: float(np.sum(fit.linear.rss)), default=None)
+def _best_pair(several: Problem, single: PoleFit) -> PoleFit | None:
+    """The best fit with two modes, which come first, in place of the first; None where none is plausible.
+
+    Started at poles from the subspace of the values of which two, and one for each other mode, lie nearest to it.
+    """
+    hz, data, count = frequency_hz(single.poles), several.data, single.poles.size
+    values = data.values - single.linear.baseline
+    # One mode of a pair may lie on either side of what was taken for it.
+    reach_hz = np.array([2.0 * _reach_hz(one, data.span_s) for one in hz.tolist()])
+    found = []
+    for poles in close_poles(replace(data, values=values), hz, 2 * count + 2)[count:]:
+        distance = np.abs(frequency_hz(poles)[:, None] - hz)
+        nearest = np.argmin(distance, axis=1)
+        nearest[np.min(distance, axis=1) > reach_hz[nearest]] = -1
+        if np.count_nonzero(nearest == 0) != 2:
+            continue
+        others = [_nearest(poles[nearest == mode], single.poles[mode]) for mode in range(1, count)]
+        fit = gauss_newton(several, np.append(poles[nearest == 0], others))
+        two = fit.poles[:2]
+        # None may grow by more than its errors.
+        decays = np.all(two.real < 2.0 * fit.pole_sd[:2, 0])
+        if decays and np.all(np.abs(frequency_hz(two) - hz[0]) < reach_hz[0]):
+            found.append(fit)
+    return min(found, key=lambda fit: objective(data, fit.linear), default=None)
 
 
-def _strongest_hz(alone: Problem, centre_hz: float, half_hz: float) -> float:
-    data = alone.data
-    frequency, power = power_spectrum(data.time_s, data.values, data.weights, np.ones(data.values.shape[1]))
-    near = np.abs(frequency - centre_hz) < half_hz
-    return float(frequency[near][np.argmax(power[near])]) if np.any(near) else centre_hz
-
-
-def _is_plausible(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
-    if not np.all(np.isfinite(fit.poles)) or fit.poles.size != 2:
-        return False
-    near = np.all(np.abs(frequency_hz(fit.poles) - centre_hz) < half_hz)
-    return bool(near and np.all(fit.poles.real < 0.0))
+def _nearest(poles: ComplexArray, fitted: complex) -> complex:
+    """That of the poles which lies nearest to the fitted one, which it is where there are none."""
+    return complex(poles[np.argmin(np.abs(poles - fitted))]) if poles.size else fitted
 
 
 def _better(

@@ -18,7 +18,7 @@ from modal_id.data import (
     reject_outliers,
     rough_variance,
 )
-from modal_id.fit.amplitude_dependence import are_resolved, split_mode, strong_poles
+from modal_id.fit.amplitude_dependence import are_resolved, only_two_explain, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit
 from modal_id.fit.spectrum import SAME_LINE, Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
@@ -210,7 +210,7 @@ class _Search:
             ), False
         split = _split_close(model, self.max_modes)
         if split.fit is not model.fit:
-            return split, True
+            return split, False
         damped = None if full else _add_damped(split, self.lowest_hz)
         if damped is not None:
             return damped, False
@@ -309,8 +309,10 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
         weaker = one if strength[one] < strength[other] else other
         kept = np.delete(model.fit.poles, weaker)
         single = refit(model, kept, model.data, search=True)
-        own = [one, other]
-        pair = strong_poles(model.fit.poles[own], model.fit.linear.amplitudes[own])
+        two = replace(model.fit, poles=model.fit.poles[[one, other]])
+        if only_two_explain(model.data, two, single.fit.linear, complex(two.poles[0])):
+            continue
+        pair = strong_poles(two.poles, model.fit.linear.amplitudes[[one, other]])
         return _without_merged_pairs(replace(single, unresolved=(*model.unresolved, pair)))
     return model
 

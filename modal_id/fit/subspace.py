@@ -31,6 +31,12 @@ class Tuning:
     #: [1] largest number of channels used
     #: physics: More would shorten the block rows below a cycle of the lowest mode.
     max_channels: int = 8
+    #: [1] largest number of components of several channels from whose values poles are taken
+    #: convention: Limits the computing time.
+    max_components: int = 2
+    #: [1] largest number of columns of their Hankel matrix, up to a factor of two
+    #: convention: Limits the computing time.
+    max_columns: int = 1200
     #: [1] largest order of the state
     max_order: int = 40
     #: [1] successive orders, two states apart, in which a stable pole must occur
@@ -118,6 +124,41 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
     return StabilityDiagram(orders, poles, data.span_s) if orders else None
 
 
+def close_poles(data: FitData, modes_hz: FloatArray, most: int) -> list[ComplexArray]:
+    """Poles of sums of 1, 2, ... up to `most` waves in values without baseline: starting values near the first mode.
+
+    From the values themselves: in records with little noise their subspace separates modes that do not beat, which
+    their products do not. The rows of the Hankel matrix span half of the record, further apart than a cycle in a long
+    one: of the frequencies that agree with them, a pole has the one next to that mode. Waves may grow. Of several
+    channels the two strongest components are used.
+
+    Notes
+    -----
+    ESPRIT: Roy & Kailath (1989), doi:10.1109/29.32276.
+    """
+    step, values, _ = _even(data, np.zeros_like(data.values), float(np.max(modes_hz)))
+    if values.shape[1] > TUNING.max_components:
+        values = values @ np.linalg.svd(values, full_matrices=False)[2][: TUNING.max_components].T
+    n, k = values.shape
+    rows = int(min(TUNING.max_rows // k, n // 2))
+    lag = max(n // (2 * rows), 1)
+    begins = np.arange(0, n - (rows - 1) * lag, max(n // TUNING.max_columns, 1))
+    hankel = np.concatenate([values[begins + i * lag].T for i in range(rows)], axis=0)
+    waves = min(most, (min(hankel.shape) - k) // 2)
+    left = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1]
+    found = (_waves(left[:, : 2 * count], k, lag * step) for count in range(1, waves + 1))
+    omega = 2.0 * np.pi * float(modes_hz[0])
+    return [_next_to(poles[poles.imag >= 0.0], omega, lag * step) for poles in found]
+
+
+def _next_to(poles: ComplexArray, omega: float, step: float) -> ComplexArray:
+    """The poles or their conjugates, of the frequencies that agree at samples a step apart the one next to `omega`."""
+    both = np.stack([poles, np.conj(poles)])
+    both += 2j * np.pi / step * np.rint((omega - both.imag) * step / (2.0 * np.pi))
+    nearer = np.argmin(np.abs(both.imag - omega), axis=0)
+    return np.asarray(both[nearer, np.arange(poles.size)])
+
+
 def _independent_channels(values: FloatArray) -> NDArray[np.intp]:
     """The channel that moves most, then each time the one that differs most from those already chosen."""
     order = qr(values, mode="r", pivoting=True, check_finite=False)[-1]
@@ -155,9 +196,13 @@ def _products(
 
 
 def _poles(observed: FloatArray, channels: int, step: float) -> ComplexArray:
+    found = _waves(observed, channels, step)
+    found = found[(found.imag > 0.0) & (found.real < 0.0)]
+    return np.asarray(found[damping_ratio(found) < MAX_DAMPING])
+
+
+def _waves(observed: FloatArray, channels: int, step: float) -> ComplexArray:
     shift = np.linalg.lstsq(observed[:-channels], observed[channels:], rcond=None)[0]
     discrete = np.linalg.eigvals(shift)
     found = np.log(discrete[np.abs(discrete) > 1e-9].astype(complex)) / step
-    decaying = (found.imag > 0.0) & (found.real < 0.0)
-    found = found[decaying]
-    return np.asarray(found[damping_ratio(found) < MAX_DAMPING])
+    return np.asarray(found)

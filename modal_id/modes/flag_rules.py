@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.curve import explains
+from modal_id.curve import is_one_curve
 from modal_id.data import are_many
 from modal_id.fit import OWN_BAND, ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
@@ -30,9 +30,6 @@ class Tuning:
     noticeable: float = 0.1
     #: [1] residual power over the noise from which the values may be wrong
     far_too_much_left: float = 10.0
-    #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
-    #: convention: A tenth.
-    decade: float = 0.1
     #: [1] relative change of the frequency over the record below which it has no practical consequence
     #: convention: Chosen; effect on a severity.
     small_frequency_change: float = 5e-4
@@ -141,6 +138,7 @@ def mode_flags(
     rate_hz, expected = 2.0 * nyquist_hz(data.time_s), settings.expected_frequencies_hz
     at_nyquist = frequency > TUNING.near_nyquist * 0.5 * rate_hz
     aliases = possible_aliases(frequency, shape, number, rate_hz, settings)
+    curve = None if mode.dependence is None else mode.dependence.curve
     raised = {
         ModeFlag.SHORT_RECORD: data.span_s * frequency < TUNING.least_cycles,
         ModeFlag.ADDED: is_added(model, index),
@@ -149,7 +147,7 @@ def mode_flags(
         ModeFlag.CLOSE_MODE: bool(np.any(distance < CLOSE)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
-        ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
+        ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not is_one_curve(curve),
         # The ratio of a half-normal density is 1.1.
         ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < DECAYS_SD * _sd_below(mode),
         ModeFlag.RESIDUAL_AT_MODE: mode.residual_power > MUCH_LEFT,
@@ -194,14 +192,3 @@ def _sd_below(mode: SampledMode) -> float:
     if mode.dependence is not None and mode.dependence.significant:
         variance -= mode.posterior.systematic_damping_ratio**2
     return float(np.sqrt(max(variance, 0.0)))
-
-
-def _is_one_curve(mode: SampledMode) -> bool:
-    """Whether one mode with any dependence on amplitude explains the motion over a decade of amplitudes.
-
-    Over a smaller range, a curve may imitate part of a beat.
-    """
-    curve = None if mode.dependence is None else mode.dependence.curve
-    if curve is None or curve.amplitude[1] > TUNING.decade * curve.amplitude[-1]:
-        return False
-    return explains(curve)

@@ -66,7 +66,7 @@ def _largest_difference(model: ModalFit, index: int) -> FloatArray:
 def _differences(model: ModalFit, index: int) -> ComplexArray:
     """Poles of the parts less that of the fit, as far as the parts can be fitted."""
     pole = complex(model.fit.poles[index])
-    data = own_problem(model.problem, model.fit, index).data
+    data = own_problem(model.problem, model.fit, np.array([index])).data
     energy = np.cumsum(
         np.exp(2.0 * np.minimum(pole.real, 0.0) * data.time_s) * np.any(data.weights > 0.0, axis=1)
     )

@@ -357,7 +357,7 @@ class Reduction:
 def reduction(problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp]) -> Reduction:
     """Reduction for the pole with index `mode`; `close` as in `modal_id.posterior.likelihood.reduce_mode`."""
     # Baseline and other modes are subtracted first: large offsets would cost digits in the projection.
-    values = own_problem(problem, fit, mode).data.values
+    values = own_problem(problem, fit, np.array([mode])).data.values
     columns = Columns(problem, fit, mode, close)
     o, vectors = columns.count - 2 * close.size, 1 + 2 * close.size
     products = np.empty((values.shape[1], vectors, vectors))

@@ -39,9 +39,6 @@ class Tuning:
     #: [samples] number of samples to which a longer record is thinned for the fits, up to a factor of two
     #: convention: The time is found from all.
     search_samples: int = 3000
-    #: [cycles] least decay after it
-    #: physics: A change in the last few cycles is a jolt or a frozen frame.
-    min_free_cycles: float = 5.0
     #: [1] largest number of channels of the search
     #: convention: Limits the computing time.
     max_channels: int = 4
@@ -282,8 +279,6 @@ def driven_then_free(
     if best is None:
         return None
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
-    if (data.span_s - time) * frequency_hz < TUNING.min_free_cycles:
-        return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
     if not _settled(thin, time, frequency_hz, best.free):
         probability = 0.0

@@ -47,9 +47,6 @@ class Tuning:
     moves: float = 15.0
     #: [samples] shortest rest
     least_samples: int = 10
-    #: [cycles] longest rest that is looked for
-    #: physics: Longer rest shows in the envelope.
-    most_cycles: float = 6.0
     #: [cycles] length of the motion examined after the rest
     motion_cycles: float = 2.0
     #: [samples] samples per cycle of the search for events
@@ -64,6 +61,9 @@ class Tuning:
     least_cycles: float = 3.0
     #: [samples] the same in samples
     least_rows: int = 12
+    #: [cycles] least decay after a drive, unless a pluck ends it
+    #: physics: A change in the last few cycles is a jolt or a frozen frame.
+    least_free_cycles: float = 5.0
     #: [1] least amplitude of the latter half of a driven motion over its largest
     #: convention: Less is the transient of its start.
     kept: float = 0.3
@@ -73,31 +73,25 @@ TUNING = Tuning()
 
 
 def rest_until(data: FitData, variance: FloatArray, frequency_hz: float) -> float | None:
-    """Time of the last sample at rest, where a motion of this frequency begins in the first cycles of the record.
+    """Time of the last sample at rest, where the record is at rest until a motion of this frequency begins.
 
     `variance`, shape (k,), is the noise variance of each channel. None where the record moves within its first half
-    cycle, or where no motion follows.
+    cycle, where it drifts, or where no motion follows.
     """
     cycle = 1.0 / (frequency_hz * data.step_s)
     first = max(TUNING.least_samples, int(np.ceil(0.5 * cycle)))
-    part = data.rows(slice(0, int((TUNING.most_cycles + TUNING.motion_cycles) * cycle) + first))
-    used = part.weights > 0.0
-    if part.time_s.size <= 2 * first or not np.all(np.any(used[:first], axis=0)):
+    used = data.weights > 0.0
+    if data.time_s.size <= 2 * first or not np.all(np.any(used[:first], axis=0)):
         return None
-    values = np.where(used, part.values, np.nan)
+    values = np.where(used, data.values, np.nan)
     level = np.nanmedian(values[:first], axis=0)
-    size = np.nan_to_num(np.abs(values - level) * np.sqrt(part.weights / variance))
+    size = np.nan_to_num(np.abs(values - level) * np.sqrt(data.weights / variance))
     moving = np.any(size > TUNING.within, axis=1)
     begin = int(np.argmax(moving))
     follows = size[begin : begin + int(TUNING.motion_cycles * cycle) + 1]
-    if (
-        not moving[begin]
-        or begin < first
-        or begin > TUNING.most_cycles * cycle
-        or np.max(follows) < TUNING.moves
-    ):
+    if not moving[begin] or begin < first or np.max(follows) < TUNING.moves:
         return None
-    return float(part.time_s[begin - 1])
+    return float(data.time_s[begin - 1])
 
 
 @dataclass(frozen=True)
@@ -287,7 +281,10 @@ class _Division:
         if first is not None:
             near.append((piece.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
         for end_s, place in near:
-            onset = self._stop(begin_s, end_s, prior, place)
+            # A pluck cuts a decay short; before anything else, a change so late is part of it.
+            plucked = following is not None and _rises(following) and end_s <= piece.end_s
+            latest_s = end_s - (0.0 if plucked else TUNING.least_free_cycles / self.frequency_hz)
+            onset = self._stop(begin_s, end_s, prior, place, latest_s)
             if onset is not None:
                 self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
@@ -326,13 +323,15 @@ class _Division:
             found = [] if one is None else [one.later(start_s)]
         return [one.place for one in found]
 
-    def _stop(self, start_s: float, end_s: float, prior: float, place: ChangeSearch) -> Onset | None:
-        """Onset where a drive ends between two times, where a change is known or looked for."""
+    def _stop(
+        self, start_s: float, end_s: float, prior: float, place: ChangeSearch, latest_s: float
+    ) -> Onset | None:
+        """Onset where a drive ends between two times, where a change is known or looked for, at the latest then."""
         place = replace(place, time_s=place.time_s - start_s)
         part = self.data.between(start_s, end_s)
         hz, lowest_hz = self.tones.wanted_hz, self.lowest_hz
         change = drive_then_decay(part, self.variance, hz, self.base, place)
-        if change is None:
+        if change is None or start_s + change.time_s > latest_s:
             return None
         changes_s = start_s + change.time_s
         driving = _Piece(start_s, changes_s, None)

@@ -19,7 +19,7 @@ from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.drive_odds import BETWEEN_SD
 from modal_id.segments.partition import Change, find_changes
 from modal_id.solve import mode_functions, real_columns
-from tracker import FloatArray
+from tracker import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,8 @@ def find_events(
     others: list[Change] = []
     begin = float(data.time_s[0])
     if rest_until_s is not None:
-        events.append(Event("rise", rest_until_s, rest_until_s + data.step_s))
+        sd_s = data.step_s / np.sqrt(12.0)
+        events.append(Event("rise", rest_until_s, rest_until_s + data.step_s, sd_s=sd_s))
         begin = events[0].end_s
     changes = find_changes(data, tones_hz, begin)
     for index, change in enumerate(changes):
@@ -179,18 +180,25 @@ def _one_motion(
     ]
     part = replace(data.rows(rows[0] | rows[1]), weights=np.concatenate(weights))
     most, span_s = max(before.poles.size, after.poles.size), spans[1][1] - spans[0][0]
+    shortest_s = min(float(np.ptp(side.span_s)) for side in (before, after))
     for poles in (None, before.poles, after.poles):
         if poles is not None and not poles.size:
             continue
         one = fitted_motion(part, cycle_s, lowest_hz, last=True, poles=poles)
-        # More modes than either side shows imitate a change; modes that grow are not free.
-        if one.poles.size > most or np.any(one.poles.real * span_s > TUNING.grows):
+        # More modes than either side shows imitate a change, but for those that a side is too short to separate;
+        # modes that grow are not free.
+        if _separate(one.poles, shortest_s) > most or np.any(one.poles.real * span_s > TUNING.grows):
             continue
         if _is_rather_one(one, one.rss, 0, before, after):
             return one
         if one.model is not None and _is_rather_one(one, _bent_rss(one.model), 4, before, after):
             return one
     return None
+
+
+def _separate(poles: ComplexArray, span_s: float) -> int:
+    """Number of lines that beat within a time."""
+    return int(poles.size and 1 + np.count_nonzero(np.diff(np.sort(poles.imag)) * span_s > 2.0 * np.pi))
 
 
 def _goes_on(before: Motion, after: Motion, data: FitData) -> bool:

@@ -122,11 +122,10 @@ def modal_slopes(pole: complex) -> FloatArray:
     return np.array([of_frequency, [-(im**2) / size**3, re * im / size**3]])
 
 
-def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
-    """The problem with the motion of all other modes subtracted."""
+def own_problem(problem: Problem, fit: PoleFit, modes: NDArray[np.intp]) -> Problem:
+    """The problem with the motion of all modes but these subtracted, and their baselines."""
     data = problem.data
-    one = slice(mode, mode + 1)
-    own = motion(data.time_s, fit.poles[one], fit.linear.amplitudes[one])
+    own = motion(data.time_s, fit.poles[modes], fit.linear.amplitudes[modes])
     own += fit.linear.residual
     return Problem(replace(data, values=own), problem.baseline)
 

@@ -48,6 +48,29 @@ def test_a_pendulum_held_and_released_is_fitted_from_the_release():
     assert [segment.kind for segment in found.segments][:2] == ["disturbed", "decay"]
 
 
+@pytest.mark.parametrize("left_s", [0.5, 1.0])
+def test_a_drive_that_ends_a_few_cycles_before_a_pluck_is_no_decay(left_s):
+    """5 Hz driven for 8 s, free until a pluck at 9 s and a second at 18 s.
+
+    Taken for one decay, drive and tail had a damping ratio of 3e-4, which was averaged with those of both plucks.
+    """
+    time_s = np.arange(0.0, 26.0, 1.0 / 120.0)
+    stop_s = 9.0 - left_s
+    tail = decay(np.clip(time_s - stop_s, 0.0, None), 5.0, 0.01, phase=2.0 * np.pi * 5.0 * stop_s)
+    values = np.where(time_s < stop_s, np.cos(2.0 * np.pi * 5.0 * time_s), tail)
+    for pluck_s in (9.0, 18.0):
+        values = np.where(
+            time_s < pluck_s, values, decay(np.clip(time_s - pluck_s, 0.0, None), 5.0, 0.01, 2.0)
+        )
+    values += 0.004 * np.random.default_rng(0).standard_normal(time_s.size)
+    found = identify(series_of(time_s, values))
+    driven = [part for part in found.segments if part.kind == "driven"]
+    assert [(round(one.start_s, 1), round(one.end_s, 1)) for one in driven] == [(0.0, round(stop_s, 1))]
+    assert np.max(np.abs(in_sd(found.target, 5.0, 0.01))) < 4.0, found.target
+    # two decays of 9 s know the damping ratio to 3e-6, one of the tail to 2e-4
+    assert found.target.damping_ratio_sd < 2e-5, found.target.decays
+
+
 def test_motion_that_does_not_fall_has_no_release():
     t = np.arange(400) / 20.0
     y = np.sin(0.7 * t) + 0.01 * np.random.default_rng(4).standard_normal(t.size)

@@ -35,6 +35,23 @@ def test_end_of_rest_is_found(cycles):
     assert start - 1 / FPS < found + 1e-9 < start + 3 / FPS
 
 
+@pytest.mark.parametrize("seed", [2, 3, pytest.param(8, marks=pytest.mark.slow)])
+def test_a_release_after_a_long_rest_that_a_hand_stops_soon_is_found_to_the_sample(seed):
+    """Ten cycles of four modes after 45 of rest, then held: no mode was found, or one 28 sd from the true one."""
+    time_s, rng = np.arange(0.0, 45.0, 1e-2), np.random.default_rng(seed)
+    free, held = np.clip(time_s - 9.4, 0.0, None), np.clip(time_s - 11.49, 0.0, None)
+    values = np.zeros(time_s.size)
+    modes = ((4.77, 0.016, 1.0), (1.65, 0.0012, 0.35), (18.7, 0.017, 0.3), (5.93, 0.03, 0.4))
+    for (hz, zeta, amplitude), phase in zip(modes, rng.uniform(0.0, 6.28, 4), strict=True):
+        size = amplitude * np.exp(-2.0 * np.pi * hz * (zeta * (free - held) + 0.3 * held))
+        wave = size * np.cos(2.0 * np.pi * hz * np.sqrt(1.0 - zeta**2) * free + phase)
+        values += np.where(time_s < 9.4, 0.0, wave)
+    found = identify(series_of(time_s, values + 1e-3 * rng.standard_normal(time_s.size)))
+    assert found.segments[0].kind == "at rest"
+    assert found.segments[0].end_s == pytest.approx(9.39, abs=0.011)
+    assert np.max(np.abs(in_sd(found.target, 4.77, 0.016))) < 4.0, found
+
+
 @pytest.mark.parametrize("phase", np.linspace(0.0, 2 * np.pi, 9)[:-1])
 def test_decay_from_the_first_sample_has_no_rest(phase):
     assert rest_of(noisy(impact(T, HZ, ZETA, phase), 2)) is None
