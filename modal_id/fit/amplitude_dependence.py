@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import cos, expm1, sin, sqrt
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from modal_id.data import FitData
+from modal_id.data import FEW_VALUES, FitData
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit, own_decay
 from modal_id.fit.spectrum import CAUTION, ResidualSpectrum, residual_spectrum
 from modal_id.fit.subspace import close_poles
@@ -51,7 +52,7 @@ class Tuning:
     #: physics: From in phase to opposed. The sum of waves that turn less is that of a mode with dry friction.
     least_beat: float = 0.5
     #: [1] ratio of a frequency to that of a pair up to which other modes are fitted anew beside it
-    #: convention: Faster ones hardly move with what one mode leaves of a pair.
+    #: physics: Twelve averages a cycle of the pair are more than two a cycle of these.
     beside: float = 5.0
     #: [1] score of what the amplitude-dependent mode leaves, below which no pair is needed
     #: statistics: The largest of 20 bins of noise. Without it, a mode of a public recording at 27.57 Hz has a damping
@@ -117,8 +118,16 @@ class DecayColumns:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> FloatArray:
         """Some rows of the columns."""
-        if not isinstance(rows, slice):
-            return self._some(rows)
+        if self.shape[1] * self.time_s.size <= FEW_VALUES:
+            return self._all[rows]
+        return self._made(rows) if isinstance(rows, slice) else self._some(rows)
+
+    @cached_property
+    def _all(self) -> FloatArray:
+        """All rows, where they are few enough to be held."""
+        return self._made(slice(None))
+
+    def _made(self, rows: slice) -> FloatArray:
         first, last, _ = rows.indices(self.time_s.size)
         block = first // _BLOCK
         begin = block * _BLOCK
@@ -313,19 +322,22 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     beside = np.flatnonzero((hz < TUNING.beside * hz[mode]) & (np.arange(hz.size) != mode))
     modes = np.append(mode, beside)
     several = own_problem(problem, fit, modes)
-    factor = thinning(several.data.time_s, fit.poles[modes])
+    factor = thinning(several.data.time_s, fit.poles[[mode]])
     several = several if factor < 2 else several.thinned(factor)
     data, single = several.data, gauss_newton(several, fit.poles[modes])
-    laws = [fit_amplitude_dependence(several, single, 0, power) for power in (1, 2)]
-    law = min((f.linear for f in laws if f is not None), key=lambda one: objective(data, one), default=None)
-    one = single.linear if law is None else law
-    if _of_decay(data, one, pole).misfit_score(*near) < TUNING.least_misfit:
-        return None
     pair = _best_pair(several, single)
     if pair is None or not _better(several, pair.linear, single.linear, near[0], 2):
         return None
-    if law is not None and not _better(several, pair.linear, law, near[0], 0):
-        return None
+    one = single.linear
+    for power in (1, 2):
+        law = fit_amplitude_dependence(several, single, 0, power)
+        if law is None:
+            continue
+        if _of_decay(data, law.linear, pole).misfit_score(*near) < TUNING.least_misfit:
+            return None
+        if not _better(several, pair.linear, law.linear, near[0], 0):
+            return None
+        one = min(one, law.linear, key=lambda linear: objective(data, linear))
     two = pair.poles[:2]
     resolved = are_resolved(two, data.span_s) or only_two_explain(data, pair, one, pole)
     return Split(two, resolved, strong_poles(two, pair.linear.amplitudes[:2]))

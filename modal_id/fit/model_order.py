@@ -210,7 +210,7 @@ class _Search:
             ), False
         split = _split_close(model, self.max_modes)
         if split.fit is not model.fit:
-            return split, False
+            return split, True
         damped = None if full else _add_damped(split, self.lowest_hz)
         if damped is not None:
             return damped, False

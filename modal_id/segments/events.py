@@ -140,8 +140,14 @@ def _event(
     if before is not None and after is not None:
         one = _one_motion(data, spans, before, after, cycle_s, lowest_hz)
         if one is not None:
-            quiet = replace(one, variance=np.minimum(before.variance, after.variance))
-            return _click(data, quiet, low, high, cycle_s)
+            variance = np.minimum(before.variance, after.variance)
+            click = _click(data, replace(one, variance=variance), low, high, cycle_s)
+            if click is None or high - low < min(np.ptp(side.span_s) for side in (before, after)):
+                return click
+            # Sides shorter than what lies between them may not tell how it beats.
+            rows = data.inside(spans[0][0], spans[1][1]) & np.any(data.weights > 0.0, axis=1)
+            whole = replace(fitted_motion(data.rows(rows), cycle_s, lowest_hz, last=True), variance=variance)
+            return click if _click(data, whole, low, high, cycle_s) is not None else None
     elif before is None:
         low = begin_s
     elif _click(data, before, low, until_s, cycle_s) is None:
