@@ -12,6 +12,8 @@ class Tuning:
     """Limits of a fit of a model to pixels and of its flags; the polynomial that predicts the next frame."""
 
     #: [1] least correlation of the pixels with the model, unless the residual is noise
+    #: measurement: films of tests/kit/scenes.py: a code of 24 px at the place of another reaches 0.847 (of 12 px 0.90,
+    #: blurred by 10 px 0.94); of 32568 right fits the least has 0.851, with noise of 40 gray levels, and 0.975 blurred
     least_correlation: float = 0.85
     #: [1] correlation at the best whole pixel below which a search found nothing
     #: convention: lower than that of an accepted fit, since what is sought is up to half a pixel and some blur off
