@@ -1,5 +1,6 @@
 """Columns of ``modes.csv`` and names of the values of a mode in ``summary.json``.
 
+``modalcam/tables/summary.py`` takes them by group; ``tests/integration/test_sample_videos_run.py`` states the header.
 Without NumPy: the command prints a run that is up to date by these names.
 """
 

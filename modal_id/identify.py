@@ -262,7 +262,7 @@ def _of_decays(
     ends_abruptly = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
     if is_driven(driven, stopped=ends_abruptly) or (part_is_driven and is_rather_driven(driven)):
         return _driven(series, settings, used, main, segments)
-    # A drift or a hum beside the decay is steady, too.
+    # A drift or a hum beside the decay is steady, too; flagged only with FEW_CYCLES_LOST.
     doubted = [may_be_driven(max(driven, _drive_probability(mode, main))) for mode in found.modes]
     modes = (_doubted(mode) if doubt else mode for mode, doubt in zip(found.modes, doubted, strict=True))
     return replace(found, modes=tuple(modes), segments=segments)

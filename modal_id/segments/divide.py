@@ -184,7 +184,7 @@ def divide(
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _Part:
     """Between two events; `before` is the event that it follows."""
 
     start_s: float
@@ -193,7 +193,7 @@ class _Piece:
 
 
 class _Division:
-    """Classifies the pieces between events, in order of time."""
+    """Classifies the parts between events, in order of time."""
 
     def __init__(
         self,
@@ -227,12 +227,12 @@ class _Division:
         starts = [0.0, *(e.end_s for e in kept)]
         ends = [*(e.start_s for e in kept), float(data.time_s[-1])]
         parts = zip(starts, ends, [None, *kept], strict=True)
-        self.pieces = [_Piece(*one) for one in parts if one[1] > one[0]]
+        self.between_events = [_Part(*one) for one in parts if one[1] > one[0]]
 
     def from_user(self, onset: Onset, *, end_is_given: bool) -> RecordParts:
         """One decay from the beginning of the data to the first event, or to their end."""
         last = float(self.data.time_s[-1])
-        end = self.pieces[0].end_s if self.pieces and not end_is_given else last
+        end = self.between_events[0].end_s if self.between_events and not end_is_given else last
         self.decays.append(Decay(onset, end))
         self._add("decay", 0.0, end)
         if end < last:
@@ -243,76 +243,74 @@ class _Division:
         """All decays."""
         skip = False
         steady = False
-        for piece, following in pairwise([*self.pieces, None]):
-            if skip or piece is None:
+        for part, following in pairwise([*self.between_events, None]):
+            if skip or part is None:
                 skip = False
                 continue
-            steady, skip = self._classify(piece, following, after_steady=steady)
+            steady, skip = self._classify(part, following, after_steady=steady)
         return self._result()
 
-    def _classify(self, piece: _Piece, following: _Piece | None, *, after_steady: bool) -> tuple[bool, bool]:
-        """Whether the piece is driven throughout, and whether the following one belongs to its decay."""
-        event = piece.before
-        if self._at_rest(piece):
+    def _classify(self, part: _Part, following: _Part | None, *, after_steady: bool) -> tuple[bool, bool]:
+        """Whether the part is driven throughout, and whether the following one belongs to its decay."""
+        event = part.before
+        if self._at_rest(part):
             if event is not None:
                 self._add("disturbed", event.start_s, event.end_s, Note.STOPPED())
-            self._add("at rest", piece.start_s, piece.end_s)
+            self._add("at rest", part.start_s, part.end_s)
             return False, False
         if event is not None and event.kind == "fall" and not after_steady:
-            self._add("disturbed", event.start_s, piece.end_s, Note.STOPPED_OR_TOUCHED())
+            self._add("disturbed", event.start_s, part.end_s, Note.STOPPED_OR_TOUCHED())
             return False, False
-        # Markers may be lost before the piece ends: only samples that are present can be steady.
-        seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= piece.end_s)]
-        last_s = float(np.max(seen, initial=piece.start_s))
-        cycles = (last_s - piece.start_s) * self.frequency_hz
-        tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
-        prior = _prior(piece)
+        # Markers may be lost before the part ends: only samples that are present can be steady.
+        seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= part.end_s)]
+        last_s = float(np.max(seen, initial=part.start_s))
+        cycles = (last_s - part.start_s) * self.frequency_hz
+        tail = self.thin.between(0.5 * (part.start_s + last_s), last_s)
+        prior = _prior(part)
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         moves = following is not None and not self._at_rest(following)
         follows = following if moves and following is not None and not _rises(following) else None
-        probability = (
-            self._probability(tail, prior, follows) if long and self._keeps_amplitude(piece) else 0.0
-        )
+        probability = self._probability(tail, prior, follows) if long and self._keeps_amplitude(part) else 0.0
         driven = is_rather_driven(probability)
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
         first = event if event is not None and event.start_s <= self.thin.time_s[0] else None
-        begin_s = piece.start_s if first is None else first.start_s
-        near = self._places(piece, following if driven or not long or follows is not None else None)
+        begin_s = part.start_s if first is None else first.start_s
+        near = self._places(part, following if driven or not long or follows is not None else None)
         if first is not None:
-            near.append((piece.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
+            near.append((part.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
         for end_s, place in near:
             # A pluck cuts a decay short; before anything else, a change so late is part of it.
-            plucked = following is not None and _rises(following) and end_s <= piece.end_s
+            plucked = following is not None and _rises(following) and end_s <= part.end_s
             latest_s = end_s - (0.0 if plucked else TUNING.least_free_cycles / self.frequency_hz)
             onset = self._stop(begin_s, end_s, prior, place, latest_s)
             if onset is not None:
                 self._add("driven", begin_s, onset.time_s, onset.note)
                 self._decay(onset, end_s)
-                return False, end_s > piece.end_s
+                return False, end_s > part.end_s
         if is_probably_driven(probability):
-            self._add("driven", piece.start_s, piece.end_s, Note.STEADY_AT(hz=self.frequency_hz))
+            self._add("driven", part.start_s, part.end_s, Note.STEADY_AT(hz=self.frequency_hz))
         else:
             # What is not known to be driven may tell its damping ratio, with a wide interval.
-            self._decay(self._start(piece), piece.end_s)
+            self._decay(self._start(part), part.end_s)
         return driven, False
 
-    def _start(self, piece: _Piece) -> Onset:
-        if piece.before is None:
-            return record_start(piece.start_s)
-        if piece.before.kind == "rise":
+    def _start(self, part: _Part) -> Onset:
+        if part.before is None:
+            return record_start(part.start_s)
+        if part.before.kind == "rise":
             return release_onset(
-                self.beam, self.variance[~self.base], self.frequency_hz, piece.before, piece.end_s
+                self.beam, self.variance[~self.base], self.frequency_hz, part.before, part.end_s
             )
-        return continued_onset(piece.before)
+        return continued_onset(part.before)
 
-    def _places(self, piece: _Piece, following: _Piece | None) -> list[tuple[float, ChangeSearch]]:
-        """Where a drive may end, with the end of the decay after it: the next piece may be part of that."""
-        own = [(piece.end_s, one) for one in self._others(piece.start_s, piece.end_s)]
+    def _places(self, part: _Part, following: _Part | None) -> list[tuple[float, ChangeSearch]]:
+        """Where a drive may end, with the end of the decay after it: the next part may belong to it."""
+        own = [(part.end_s, one) for one in self._others(part.start_s, part.end_s)]
         event = None if following is None else following.before
         if following is None or event is None or self._at_rest(following):
             return own
         # A base that stops abruptly is an event, too. Where the motion goes on, it may have been found too late.
-        late = self._others(piece.start_s, following.end_s) if event.jump < JOINS else []
+        late = self._others(part.start_s, following.end_s) if event.jump < JOINS else []
         return [(following.end_s, event.place), *own, *((following.end_s, one) for one in late)]
 
     def _others(self, start_s: float, end_s: float) -> list[ChangeSearch]:
@@ -328,56 +326,56 @@ class _Division:
     ) -> Onset | None:
         """Onset where a drive ends between two times, where a change is known or looked for, at the latest then."""
         place = replace(place, time_s=place.time_s - start_s)
-        part = self.data.between(start_s, end_s)
+        samples = self.data.between(start_s, end_s)
         hz, lowest_hz = self.tones.wanted_hz, self.lowest_hz
-        change = drive_then_decay(part, self.variance, hz, self.base, place)
+        change = drive_then_decay(samples, self.variance, hz, self.base, place)
         if change is None or start_s + change.time_s > latest_s:
             return None
         changes_s = start_s + change.time_s
-        driving = _Piece(start_s, changes_s, None)
-        free = _Piece(changes_s + settling_s(hz, part.step_s, change.sd_s, end_s - changes_s), end_s, None)
+        driving = _Part(start_s, changes_s, None)
+        free = _Part(changes_s + settling_s(hz, samples.step_s, change.sd_s, end_s - changes_s), end_s, None)
         if not self._keeps_amplitude(driving) or not self._drive_precedes(driving, free, prior):
             return None
-        return _shifted(stop_of_shaking(part, change, hz, lowest_hz, self.base), start_s)
+        return _shifted(stop_of_shaking(samples, change, hz, lowest_hz, self.base), start_s)
 
-    def _probability(self, late: FitData, prior: float, follows: _Piece | None) -> float:
+    def _probability(self, late: FitData, prior: float, follows: _Part | None) -> float:
         """Probability that samples are driven, from what follows them as well."""
         after = None if follows is None else self.thin.between(follows.start_s, follows.end_s)
         after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
-    def _drive_precedes(self, piece: _Piece, follows: _Piece, prior: float) -> bool:
+    def _drive_precedes(self, part: _Part, follows: _Part, prior: float) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
-        late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
-        few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
+        late = self.thin.between(0.5 * (part.start_s + part.end_s), part.end_s)
+        few = (part.end_s - part.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         if few or late.time_s.size < TUNING.least_rows:
             return True
         if not is_rather_driven(self._probability(late, prior, follows)):
             return False
-        return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
+        return not decays(self.thin.between(part.start_s, part.end_s), self.frequency_hz, self.lowest_hz)
 
-    def _keeps_amplitude(self, piece: _Piece) -> bool:
+    def _keeps_amplitude(self, part: _Part) -> bool:
         """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
-        known = np.isfinite(self.level) & (self.block_s >= piece.start_s) & (self.block_s <= piece.end_s)
-        late = self.level[known & (self.block_s >= 0.5 * (piece.start_s + piece.end_s))]
+        known = np.isfinite(self.level) & (self.block_s >= part.start_s) & (self.block_s <= part.end_s)
+        late = self.level[known & (self.block_s >= 0.5 * (part.start_s + part.end_s))]
         return not late.size or float(np.median(late)) > TUNING.kept * float(np.max(self.level[known]))
 
-    def _at_rest(self, piece: _Piece) -> bool:
-        if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:
+    def _at_rest(self, part: _Part) -> bool:
+        if self.rest_until_s is not None and part.end_s <= self.rest_until_s:
             return True
         known = np.isfinite(self.level)
-        if not np.any(known) or _rises(piece):
+        if not np.any(known) or _rises(part):
             return False
         half_s = float(self.block_s[0])
-        within = known & (self.block_s >= piece.start_s + half_s) & (self.block_s <= piece.end_s - half_s)
+        within = known & (self.block_s >= part.start_s + half_s) & (self.block_s <= part.end_s - half_s)
         limit = max(TUNING.rest_level, TUNING.rest_share * float(np.max(self.level[known])))
         if np.any(within):
             return float(np.max(self.level[within])) < limit
         # Shorter than a block: the mean square of all samples.
-        part = self.thin.between(piece.start_s, piece.end_s)
-        if not part.time_s.size:
+        samples = self.thin.between(part.start_s, part.end_s)
+        if not samples.time_s.size:
             return True
-        square = np.mean(detrended(part) ** 2, axis=0)
+        square = np.mean(detrended(samples) ** 2, axis=0)
         largest = TUNING.rest_share * np.max(np.abs(detrended(self.thin)), axis=0)
         return bool(np.all(square < np.maximum(2.0 * rough_variance(self.thin), largest**2)))
 
@@ -416,13 +414,13 @@ class _Division:
         return RecordParts(tuple(self.decays), segments, self.disturbed, none, why)
 
 
-def _rises(piece: _Piece) -> bool:
-    return piece.before is not None and piece.before.kind == "rise"
+def _rises(part: _Part) -> bool:
+    return part.before is not None and part.before.kind == "rise"
 
 
-def _prior(piece: _Piece) -> float:
+def _prior(part: _Part) -> float:
     """Probability of a drive: a motion that does not join the one before is more often plucked than driven."""
-    return PRIOR_AFTER_JUMP if piece.before is not None and piece.before.jump >= JOINS else PRIOR
+    return PRIOR_AFTER_JUMP if part.before is not None and part.before.jump >= JOINS else PRIOR
 
 
 def _shifted(onset: Onset, by_s: float) -> Onset:
