@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit, fdtrc
 
-from modal_id.curve import LEAST_CYCLES, amplitude_curve, explains, is_one_curve
+from modal_id.curve import LEAST_CYCLES, amplitude_curve, explains
 from modal_id.data import BEYOND_SD, are_many, outlier_share
 from modal_id.fit import DECAY_TIMES, FALSE_ALARM, AmplitudeFit, ModalFit, fit_amplitude_dependence
 from modal_id.posterior.noise import NoiseLevel
@@ -62,7 +62,7 @@ def find_dependence(
     as from `own_decay`. `repeating_sd` are the standard deviations of frequency (Hz) and damping ratio for errors that
     repeat with the motion: the curve includes them, and a change of less than three of them is not significant. Where
     no curve explains the record, and two modes do or the linear form leaves many outliers, the standard deviations
-    include the distances to the constant values, or to those of one of both modes.
+    include the distances to the constant values.
     """
     curve = amplitude_curve(model, index, own)
     varies = False
@@ -75,14 +75,13 @@ def find_dependence(
         varies = _varies(curve, repeating_sd)
     if amplitude_fit is not None:
         found = _linear(model, own, amplitude_fit, noise, index, curve, varies=varies)
-        pair = model.unresolved_near(index)
-        if curve is not None and explains(curve) and (pair is None or is_one_curve(curve)):
+        if curve is not None and explains(curve):
             return found
-        if pair is None and not are_many(outlier_share(own.data.weights, amplitude_fit.linear.residual)):
+        outliers = outlier_share(own.data.weights, amplitude_fit.linear.residual)
+        if not are_many(outliers) and model.unresolved_near(index) is None:
             return found
-        poles = np.append(model.fit.poles[index], [] if pair is None else pair)
-        furthest = poles[np.argmax(np.abs(damping_ratio(poles) - found.small_amplitude_damping[0]))]
-        return found.doubted(float(frequency_hz(furthest)), float(damping_ratio(furthest)))
+        pole = model.fit.poles[index]
+        return found.doubted(float(frequency_hz(pole)), float(damping_ratio(pole)))
     if curve is None or not varies:
         return None
     zeta, zeta_sd = curve.damping_ratio[[0, -1]], curve.damping_ratio_sd[[0, -1]]

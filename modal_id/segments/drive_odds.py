@@ -235,11 +235,12 @@ def close_modes(model: ModalFit) -> BoolArray:
 def holds_a_decay(model: ModalFit) -> bool:
     """Whether one of the stronger modes of a fit decays significantly, to less than two thirds.
 
-    Close modes are one driven motion whose amplitude changes.
+    Close modes, resolved or not, are one driven motion whose amplitude changes.
     """
     fit = model.fit
     strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
     alone = np.count_nonzero(close_modes(model), axis=1) == 1
+    alone &= [model.unresolved_near(index) is None for index in range(alone.size)]
     for index in np.flatnonzero(alone & (strength > TUNING.strong * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
         if rate * model.data.span_s > TUNING.decayed and rate > _DECAY_SD * sd * _noise_factor(
