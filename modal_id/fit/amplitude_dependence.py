@@ -103,7 +103,9 @@ class AmplitudeFit:
 
 @dataclass(frozen=True)
 class DecayColumns:
-    """Real and imaginary parts of a decay's wave, shape (n, 2), or of its slopes, shape (n, 8), made row by row.
+    """Real and imaginary parts of a decay's wave, shape (n, 2), or of its slopes, shape (n, 8).
+
+    Held for all samples where they are few; otherwise made for some rows when these are needed.
 
     ``states`` are the integrals at the beginning of each block of samples, shape (blocks, 7).
     """
@@ -396,7 +398,9 @@ def _best_pair(several: Problem, single: PoleFit) -> PoleFit | None:
     # One mode of a pair may lie on either side of what was taken for it.
     reach_hz = np.array([2.0 * _reach_hz(one, data.span_s) for one in hz.tolist()])
     found = []
-    for poles in close_poles(replace(data, values=values), hz, 2 * count + 2)[count:]:
+    for waves in close_poles(replace(data, values=values), hz, 2 * count + 2)[count:]:
+        # A start that grows by more overflows.
+        poles = waves[waves.real * data.span_s < MOST_GROWTH]
         distance = np.abs(frequency_hz(poles)[:, None] - hz)
         nearest = np.argmin(distance, axis=1)
         nearest[np.min(distance, axis=1) > reach_hz[nearest]] = -1

@@ -130,7 +130,7 @@ def close_poles(data: FitData, modes_hz: FloatArray, most: int) -> list[ComplexA
     From the values themselves: in records with little noise their subspace separates modes that do not beat, which
     their products do not. The rows of the Hankel matrix span half of the record, further apart than a cycle in a long
     one: of the frequencies that agree with them, a pole has the one next to that mode. Waves may grow. Of several
-    channels the two strongest components are used.
+    channels the two strongest components are used. `modes_hz`, shape (m,), are the fitted modes; poles in 1/s.
 
     Notes
     -----
@@ -140,7 +140,7 @@ def close_poles(data: FitData, modes_hz: FloatArray, most: int) -> list[ComplexA
     if values.shape[1] > TUNING.max_components:
         values = values @ np.linalg.svd(values, full_matrices=False)[2][: TUNING.max_components].T
     n, k = values.shape
-    rows = int(min(TUNING.max_rows // k, n // 2))
+    rows = int(max(min(TUNING.max_rows // k, n // 2), 1))
     lag = max(n // (2 * rows), 1)
     begins = np.arange(0, n - (rows - 1) * lag, max(n // TUNING.max_columns, 1))
     hankel = np.concatenate([values[begins + i * lag].T for i in range(rows)], axis=0)

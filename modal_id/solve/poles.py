@@ -123,7 +123,7 @@ def modal_slopes(pole: complex) -> FloatArray:
 
 
 def own_problem(problem: Problem, fit: PoleFit, modes: NDArray[np.intp]) -> Problem:
-    """The problem with the motion of all modes but these subtracted, and their baselines."""
+    """The problem with the motion of all modes but these subtracted, and the baseline."""
     data = problem.data
     own = motion(data.time_s, fit.poles[modes], fit.linear.amplitudes[modes])
     own += fit.linear.residual
