@@ -42,7 +42,6 @@ from modal_id.segments import (
     RecordParts,
     divide,
     drive_probability,
-    is_driven,
     is_rather_driven,
     may_be_driven,
     no_onset,
@@ -256,11 +255,7 @@ def _of_decays(
         return _driven(series, settings, used, main, segments)
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-    # Where another part is driven, the drive may have changed; one that ends abruptly may have stopped.
-    part_is_driven = any(s.kind == "driven" for s in segments)
-    later = [s for s in segments if s.start_s >= main.end_s]
-    ends_abruptly = bool(later) and min(later, key=lambda s: s.start_s).kind in ("disturbed", "at rest")
-    if is_driven(driven, stopped=ends_abruptly) or (part_is_driven and is_rather_driven(driven)):
+    if is_rather_driven(driven):
         return _driven(series, settings, used, main, segments)
     # A drift or a hum beside the decay is steady, too; flagged only with FEW_CYCLES_LOST.
     doubted = [may_be_driven(max(driven, _drive_probability(mode, main))) for mode in found.modes]

@@ -53,11 +53,8 @@ class Tuning:
     #: [1] probability from which a part without a decay is called driven
     #: convention: Odds of two to one, because a refusal costs more than a wide interval.
     probable: float = 2.0 / 3.0
-    #: [1] probability from which a motion that ends abruptly is called driven
-    #: convention: A hand ends a free motion as abruptly.
-    stopped: float = 0.8
-    #: [1] probability from which a motion without further evidence is called driven
-    #: statistics: One motion in 20; below its complement, a motion is called free without doubt.
+    #: [1] probability of a free decay below which a motion is flagged as perhaps driven
+    #: statistics: One motion in 20.
     sure: float = 0.95
     #: [1] largest number of modes of the fit
     modes: int = 4
@@ -154,11 +151,6 @@ def is_rather_driven(probability: float) -> bool:
 def is_probably_driven(probability: float) -> bool:
     """Whether a part of a record is called driven, where no decay follows that would tell."""
     return probability > TUNING.probable
-
-
-def is_driven(probability: float, *, stopped: bool = False) -> bool:
-    """Whether a motion with this probability is driven beyond doubt, or probably, where it is stopped abruptly."""
-    return probability > (TUNING.stopped if stopped else TUNING.sure)
 
 
 def may_be_driven(probability: float) -> bool:
