@@ -51,7 +51,7 @@ class Tuning:
     #: [1] probability of any damping ratio after a free motion, neither its own nor a hand's
     other: float = 0.2
     #: [1] probability from which a part without a decay is called driven
-    #: convention: Odds of two to one, because a refusal costs more than a wide interval.
+    #: measurement: With one half, a tuning fork filmed for 0.25 s is called driven (decision 0056).
     probable: float = 2.0 / 3.0
     #: [1] probability of a free decay below which a motion is flagged as perhaps driven
     #: statistics: One motion in 20.
