@@ -256,19 +256,30 @@ def _of_decays(
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     driven = 0.0 if found.target is None else _drive_probability(found.target, main)
     if is_rather_driven(driven):
-        return _driven(series, settings, used, main, segments)
+        free = [
+            mode for mode in found.modes if not is_rather_driven(_drive_probability(mode, main, beside=False))
+        ]
+        if _target_hz(settings) is not None or not free:
+            return _driven(series, settings, used, main, segments)
+        # The strongest motion is a drift or a hum.
+        strongest = max(free, key=lambda mode: mode.amplitude)
+        found = replace(found, modes=tuple(replace(m, target=m is strongest) for m in found.modes))
+        driven = _drive_probability(strongest, main)
     # A drift or a hum beside the decay is steady, too; flagged only with FEW_CYCLES_LOST.
     doubted = [may_be_driven(max(driven, _drive_probability(mode, main))) for mode in found.modes]
     modes = (_doubted(mode) if doubt else mode for mode, doubt in zip(found.modes, doubted, strict=True))
     return replace(found, modes=tuple(modes), segments=segments)
 
 
-def _drive_probability(mode: IdentifiedMode, one: FittedDecay) -> float:
-    """Probability that a mode of a decay is a drive: 0 where the user says it is free, or theory expects it there."""
+def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
+    """Probability that a mode of a decay is a drive: 0 where the user says it is free, or theory expects it there.
+
+    `beside`: a mode that is not the target stands beside one that decays.
+    """
     if one.onset.source == "user" or (mode.number is not None and not mode.target):
         return 0.0
     after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
-    prior = after if mode.target else PRIOR_BESIDE_A_DECAY
+    prior = PRIOR_BESIDE_A_DECAY if beside and not mode.target else after
     radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
     return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
 
