@@ -196,7 +196,7 @@ def test_a_hum_beside_a_decay_is_not_taken_for_a_free_mode(amplitude):
 
 
 def test_a_steady_motion_with_noise_is_rather_driven_than_a_decay_of_any_damping_ratio():
-    # Both explanations are equally likely for a loss of 1.9 sd. Noise is beyond it in 2.6 % of records, and in more than
+    # Both explanations are equally likely for a loss of 1.9 sd. Noise is beyond it in 2.6 % of records, in more than
     # one of twelve with a probability of 4 %.
     t, taken_for_free = np.arange(500) / 100.0, []
     for seed in range(12):
