@@ -254,21 +254,29 @@ def _of_decays(
     if all(grows(one) for one in decays):
         return _driven(series, settings, used, main, segments)
     found = combine_decays(assemble(series, settings, used, main), decays, position)
-    driven = 0.0 if found.target is None else _drive_probability(found.target, main)
+    probabilities = [_drive_probability(mode, main) for mode in found.modes]
+    driven = max((p for p, mode in zip(probabilities, found.modes, strict=True) if mode.target), default=0.0)
     if is_rather_driven(driven):
-        free = [
-            mode for mode in found.modes if not is_rather_driven(_drive_probability(mode, main, beside=False))
-        ]
+        free = [m for m in found.modes if not is_rather_driven(_drive_probability(m, main, beside=False))]
         if _target_hz(settings) is not None or not free:
             return _driven(series, settings, used, main, segments)
         # The strongest motion is a drift or a hum.
-        strongest = max(free, key=lambda mode: mode.amplitude)
-        found = replace(found, modes=tuple(replace(m, target=m is strongest) for m in found.modes))
-        driven = _drive_probability(strongest, main)
+        found = _with_target(found, max(free, key=lambda mode: mode.amplitude), settings)
+        driven = 0.0 if found.target is None else _drive_probability(found.target, main)
     # A drift or a hum beside the decay is steady, too; flagged only with FEW_CYCLES_LOST.
-    doubted = [may_be_driven(max(driven, _drive_probability(mode, main))) for mode in found.modes]
-    modes = (_doubted(mode) if doubt else mode for mode, doubt in zip(found.modes, doubted, strict=True))
+    modes = (
+        _doubted(mode) if may_be_driven(max(driven, p)) else mode
+        for p, mode in zip(probabilities, found.modes, strict=True)
+    )
     return replace(found, modes=tuple(modes), segments=segments)
+
+
+def _with_target(found: Identification, target: IdentifiedMode, settings: IdentifySettings) -> Identification:
+    """The result with another target. Without theory it takes the number that the user gave; others have none."""
+    modes = (replace(mode, target=mode is target) for mode in found.modes)
+    if not settings.expected_frequencies_hz:
+        modes = (replace(mode, number=settings.mode if mode.target else None) for mode in modes)
+    return replace(found, modes=tuple(modes))
 
 
 def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
