@@ -93,7 +93,7 @@ def identify(
         return Reason.NO_INPUT().at(series.name)
     sampled = sampled_rows(series)
     if sampled is not None:
-        # the others repeat them
+        # the other samples repeat these
         rows, distance = sampled
         return in_all_rows(identify(of_rows(series, rows), settings), series, rows, distance)
     samples = _samples(series, settings)
@@ -106,7 +106,7 @@ def identify(
     parts = _parts(series, used, settings, usable_from_s, settings.lowest_hz)
     found = _identified(series, used, parts, settings, settings.lowest_hz, whole=whole)
     if not found and settings.lowest_hz > 0.0:
-        # the theory of another beam excludes the motion
+        # The lowest frequency is from theory; that of another beam may exclude the motion.
         parts = _parts(series, used, settings, usable_from_s, 0.0)
         found = _identified(series, used, parts, settings, 0.0, whole=whole) or found
     return found
@@ -199,7 +199,10 @@ def _identified(
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
     named_hz = settings.add_hz
     fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
-    if not whole and (undivided := _of_uneven_frames(series, used, parts, fits, settings)) is not None:
+    if (
+        not whole
+        and (undivided := _of_uneven_frames(series, used, parts, fits, settings, lowest_hz)) is not None
+    ):
         fits = undivided
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
@@ -218,8 +221,9 @@ def _of_uneven_frames(
     parts: RecordParts,
     fits: DecayFits,
     settings: IdentifySettings,
+    lowest_hz: float,
 ) -> DecayFits | None:
-    """One decay in place of a divided one whose changes are frames that a converter chose; None where they are not."""
+    """One decay in place of several where a frame-rate converter, and no change of the motion, parts them; or None."""
     if not parts.decays:
         return None
     first, last_s = parts.decays[0].onset, float(series.time_s[used.first_row + used.repeated.size - 1])
@@ -229,9 +233,9 @@ def _of_uneven_frames(
     before = tuple(s for s in parts.segments if s.start_s < first.time_s)
     whole = replace(parts, decays=(Decay(first, last_s),), segments=before)
     undivided = fit_decays(
-        series, used, whole, settings.max_modes, settings.lowest_hz, whole=True, named_hz=settings.add_hz
+        series, used, whole, settings.max_modes, lowest_hz, whole=True, named_hz=settings.add_hz
     )
-    # A fit with a reason leaves motion that no free decay explains: the division was not caused by its frames.
+    # A fit with a reason leaves motion that no free decay explains: frames were not the cause of the division.
     if not undivided.decays or undivided.reasons or not converted(series, used, undivided.decays[0]):
         return None
     return undivided
@@ -244,7 +248,10 @@ def _of_decays(
     decays: tuple[FittedDecay, ...],
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """Modes of the most informative decay, averaged with the same ones of others; or driven motion."""
+    """Modes of the most informative decay, averaged with the same ones of others.
+
+    Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
+    """
     for chosen, note in ((without_faint, Note.FAINT()), (without_held, Note.HELD())):
         kept = chosen(decays)
         segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], note)
@@ -256,19 +263,30 @@ def _of_decays(
     found = combine_decays(assemble(series, settings, used, main), decays, position)
     probabilities = [_drive_probability(mode, main) for mode in found.modes]
     driven = max((p for p, mode in zip(probabilities, found.modes, strict=True) if mode.target), default=0.0)
+    segments = _with_probability(segments, main, driven)
     if is_rather_driven(driven):
         free = [m for m in found.modes if not is_rather_driven(_drive_probability(m, main, beside=False))]
         if _target_hz(settings) is not None or not free:
             return _driven(series, settings, used, main, segments)
-        # The strongest motion is a drift or a hum.
+        # The target was the strongest motion, a drift or a hum.
         found = _with_target(found, max(free, key=lambda mode: mode.amplitude), settings)
         driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-    # A drift or a hum beside the decay is steady, too; flagged only with FEW_CYCLES_LOST.
+        segments = _with_probability(segments, main, driven)
+    # A drift or a hum beside the decay stays in the list, with a flag.
     modes = (
         _doubted(mode) if may_be_driven(max(driven, p)) else mode
         for p, mode in zip(probabilities, found.modes, strict=True)
     )
     return replace(found, modes=tuple(modes), segments=segments)
+
+
+def _with_probability(segments: tuple[Segment, ...], main: FittedDecay, driven: float) -> tuple[Segment, ...]:
+    """The segments, with the probability that the target in the main decay is driven."""
+    start_s = main.onset.time_s
+    return tuple(
+        replace(s, driven_probability=driven) if s.kind == "decay" and s.start_s == start_s else s
+        for s in segments
+    )
 
 
 def _with_target(found: Identification, target: IdentifiedMode, settings: IdentifySettings) -> Identification:
@@ -280,16 +298,18 @@ def _with_target(found: Identification, target: IdentifiedMode, settings: Identi
 
 
 def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
-    """Probability that a mode of a decay is a drive: 0 where the user says it is free, or theory expects it there.
+    """Probability that a mode of a decay is a drive: 0 after the user's onset, and of a further mode of theory.
 
-    `beside`: a mode that is not the target stands beside one that decays.
+    With `beside`, another mode than the target has the prior of a motion beside one that decays.
     """
     if one.onset.source == "user" or (mode.number is not None and not mode.target):
         return 0.0
     after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
     prior = PRIOR_BESIDE_A_DECAY if beside and not mode.target else after
-    radians = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
-    return drive_probability(mode.damping_ratio * radians, mode.damping_ratio_sd * radians, radians, prior)
+    phase = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
+    # what the logarithm of the amplitude loses, and its sd
+    lost, sd = mode.damping_ratio * phase, mode.damping_ratio_sd * phase
+    return drive_probability(lost, sd, phase, prior)
 
 
 def _as_disturbed(
@@ -323,7 +343,7 @@ def _driven(
     one: FittedDecay,
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """Result of a record whose strongest motion does not decay: none of its parts is a free decay."""
+    """Result of a record whose target is driven, or whose motions all grow: its decays are called driven."""
     onset = replace(no_onset(Reason.STEADY.words), fit_from_s=one.onset.fit_from_s)
     found = assemble_driven(series, settings, used, replace(one, onset=onset))
     steady = tuple(

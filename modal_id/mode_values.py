@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,16 @@ if TYPE_CHECKING:
 
 # Separates the random stream of the frame rate from those of modes and ensembles.
 _RATE_STREAM = 0xF75
+
+
+# Errors beside the noise, by their cause: the standard deviations of the frequency in Hz and of the damping ratio.
+Errors = Mapping[str, tuple[float, float]]
+
+
+def total_error(errors: Errors) -> tuple[float, float]:
+    """Standard deviations, of frequency in Hz and damping ratio, of all errors together; they are independent."""
+    hz, zeta = (reduce(np.hypot, (one[k] for one in errors.values()), 0.0) for k in (0, 1))
+    return float(hz), float(zeta)
 
 
 class Table(ABC):
@@ -77,15 +89,17 @@ class Posterior(Table):
         Mean share of accepted proposals.
     noise_factor : float
         Factor on the white-noise standard deviation for the noise level near the mode.
-    systematic_frequency_hz, systematic_damping_ratio : float
-        Standard deviation added for model error (amplitude dependence, detected or beyond what the record can
-        show); 0 when there is none. The draws include it.
+    errors : mapping of str to (float, float)
+        Standard deviations of frequency (Hz) and damping ratio that the draws include beside the noise, by cause:
+        "amplitude" (frequency and damping depend on it), "close mode" (the mode may be two), "little decay" (the record
+        shows few amplitudes), "unexplained" (motion that the fit leaves at the mode), "positions" (errors that return
+        with the motion), "decays" (scatter between those of the record).
     rate_sd_ppm : float
         Relative standard deviation of the frame rate in parts per million, which the draws of the frequency include:
         one factor in each draw, the same for all modes of a recording.
     laplace_sd : tuple of float
         Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation for white noise, without
-        `noise_factor` and systematic parts: a check on the sampler.
+        `noise_factor` and `errors`: a check on the sampler.
     seed : tuple of int
         Seed and spawn key of the random streams.
     extrapolation_damping_ratio, extrapolation_frequency_hz : float
@@ -104,8 +118,6 @@ class Posterior(Table):
     autocorrelation_steps: float
     acceptance: float
     noise_factor: float
-    systematic_frequency_hz: float
-    systematic_damping_ratio: float
     laplace_sd: tuple[float, float]
     seed: tuple[int, ...]
     rate_sd_ppm: float = 0.0
@@ -113,6 +125,17 @@ class Posterior(Table):
     sampled: SampledDraws | None = None
     small_amplitude_shift_hz: float = 0.0
     extrapolation_frequency_hz: float = 0.0
+    errors: Errors = field(default_factory=dict)
+
+    @property
+    def systematic_frequency_hz(self) -> float:
+        """Standard deviation of the frequency for all `errors`."""
+        return total_error(self.errors)[0]
+
+    @property
+    def systematic_damping_ratio(self) -> float:
+        """Standard deviation of the damping ratio for all `errors`."""
+        return total_error(self.errors)[1]
 
     @property
     def frequency_in_record_hz(self) -> FloatArray:

@@ -372,8 +372,6 @@ def _posterior(one: _Found, index: int, settings: IdentifySettings) -> Posterior
         1.0,
         1.0,
         1.0,
-        0.0,
-        0.0,
         (float(sd[0] * one.frequency_hz), float(sd[1] * one.damping_ratio)),
         (settings.seed, *settings.seed_key, index),
     )

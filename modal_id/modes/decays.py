@@ -255,8 +255,7 @@ def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedM
         frequency_hz=_moved(mode.posterior.frequency_hz, frequency),
         # Reflected at zero: damping ratios stay positive.
         damping_ratio=np.abs(_moved(mode.posterior.damping_ratio, zeta)),
-        systematic_frequency_hz=float(np.hypot(mode.posterior.systematic_frequency_hz, frequency.between_sd)),
-        systematic_damping_ratio=float(np.hypot(mode.posterior.systematic_damping_ratio, zeta.between_sd)),
+        errors={**mode.posterior.errors, "decays": (frequency.between_sd, zeta.between_sd)},
     )
     ordered = tuple(sorted(values, key=lambda v: v.start_s))
     return replace(mode, posterior=posterior, decays=ordered)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay, with_constant_pole
+from modal_id.mode_values import Errors, total_error
 from modal_id.posterior.dependence import (
     LITTLE_DECAY,
     MUCH_LEFT,
@@ -62,8 +63,8 @@ class DeterminedMode:
     dependence : AmplitudeDependence or None
     density : PoleDensity
         Log posterior density that emcee samples.
-    systematic : tuple of float
-        Standard deviations of frequency (Hz) and damping ratio added to the draws for model error.
+    errors : mapping of str to (float, float)
+        As `Posterior.errors`.
     extrapolation : tuple of float
         As `Posterior.small_amplitude_shift_hz`, `Posterior.extrapolation_frequency_hz` and
         `Posterior.extrapolation_damping_ratio`.
@@ -75,9 +76,14 @@ class DeterminedMode:
     covariance: FloatArray
     dependence: AmplitudeDependence | None
     density: PoleDensity
-    systematic: tuple[float, float]
+    errors: Errors
     extrapolation: tuple[float, float, float]
     residual_power: float
+
+    @property
+    def systematic(self) -> tuple[float, float]:
+        """Standard deviations of frequency (Hz) and damping ratio for all errors beside the noise."""
+        return total_error(self.errors)
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
     if undetermined is not None:
         return undetermined
-    if max(found.systematic) > 0.0:
+    if found.errors:
         key = (*settings.seed_key, index, settings.sampler.ensembles)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
         frequencies, zetas = widened(frequencies, zetas, found.systematic, rng)
@@ -142,13 +148,13 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         draws.autocorrelation_steps,
         draws.acceptance,
         found.density.noise.factor,
-        *found.systematic,
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
         (settings.seed, *settings.seed_key, index),
         extrapolation_damping_ratio=found.extrapolation[2],
         sampled=sampled,
         small_amplitude_shift_hz=found.extrapolation[0],
         extrapolation_frequency_hz=found.extrapolation[1],
+        errors=found.errors,
     )
     return SampledMode(posterior, found.dependence, draws.long_enough, found.residual_power)
 
@@ -194,43 +200,45 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     residual_power = left_at_mode(own, amplitude_fit, dependence)
     if dependence is not None and dependence.curve is None and residual_power > MUCH_LEFT:
         dependence = dependence.doubted(frequency, zeta)
-    extra = _systematic(pole, model.data.span_s, dependence, model.unresolved_near(index))
+    errors = _model_errors(pole, model.data.span_s, dependence, model.unresolved_near(index))
     if residual_power > MUCH_LEFT:
         # The noise factor is that of the noise beside the mode.
         more = noise.factor * float(np.sqrt(residual_power - 1.0))
-        extra = (
-            float(np.hypot(extra[0], more * sd[0] / (2.0 * np.pi))),
-            float(np.hypot(extra[1], more * sd[1])),
-        )
-    extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
+        errors["unexplained"] = (more * float(sd[0]) / (2.0 * np.pi), more * float(sd[1]))
+    errors["positions"] = repeating_sd
+    errors = {cause: sd for cause, sd in errors.items() if max(sd) > 0.0}
     left = min(float(np.exp(pole.real * model.data.span_s)), 1.0)
     beyond = *frequency_limit(frequency, left, dependence), damping_limit_sd(abs(zeta), left, dependence)
-    return DeterminedMode(frequency, covariance, dependence, density, extra, beyond, residual_power)
+    return DeterminedMode(frequency, covariance, dependence, density, errors, beyond, residual_power)
 
 
-def _systematic(
+def _model_errors(
     pole: complex,
     span_s: float,
     dependence: AmplitudeDependence | None,
     pair: ComplexArray | None,
-) -> tuple[float, float]:
-    """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole.
+) -> dict[str, tuple[float, float]]:
+    """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole, by cause.
 
     Where the mode may be an unresolved pair, they include the distances to both of its modes.
     """
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    extra = (0.0, 0.0)
+    errors = {"amplitude": (0.0, 0.0)}
     left = min(float(np.exp(pole.real * span_s)), 1.0)
     if dependence is not None and dependence.significant:
-        extra = _reach(frequency, zeta, dependence)
+        errors["amplitude"] = _reach(frequency, zeta, dependence)
     if pair is not None:
         apart = np.abs(frequency_hz(pair) - frequency), np.abs(damping_ratio(pair) - zeta)
-        extra = (max(extra[0], float(np.max(apart[0]))), max(extra[1], float(np.max(apart[1]))))
+        # a pair beats, which looks like a dependence: the larger of both counts
+        more = [
+            max(float(np.max(one)) ** 2 - own**2, 0.0)
+            for one, own in zip(apart, errors["amplitude"], strict=True)
+        ]
+        errors["close mode"] = (float(np.sqrt(more[0])), float(np.sqrt(more[1])))
     if left > LITTLE_DECAY:
         # From the mean amplitude, (1 + left) / 2, to the largest and the smallest of the record.
-        unseen = 0.5 * (1.0 - left) * hidden_slope_sd(abs(zeta), dependence)
-        extra = (extra[0], float(np.hypot(extra[1], unseen)))
-    return extra
+        errors["little decay"] = (0.0, 0.5 * (1.0 - left) * hidden_slope_sd(abs(zeta), dependence))
+    return errors
 
 
 def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tuple[float, float]:

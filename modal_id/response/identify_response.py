@@ -324,8 +324,6 @@ def _posterior(
         autocorrelation_steps=nan,
         acceptance=nan,
         noise_factor=float(np.sqrt(factor)),
-        systematic_frequency_hz=0.0,
-        systematic_damping_ratio=0.0,
         laplace_sd=sd,
         seed=seed,
     )

@@ -11,7 +11,7 @@ from .drive_odds import PRIOR_BESIDE_A_DECAY as PRIOR_BESIDE_A_DECAY
 from .drive_odds import drive_probability as drive_probability
 from .drive_odds import held_density as held_density
 from .drive_odds import holds_a_decay as holds_a_decay
-from .drive_odds import is_probably_driven as is_probably_driven
+from .drive_odds import is_driven_part as is_driven_part
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
 from .drive_odds import strongest_is_driven as strongest_is_driven

@@ -14,7 +14,7 @@ from modal_id.segments.drive_odds import (
     PRIOR,
     PRIOR_AFTER_JUMP,
     decays,
-    is_probably_driven,
+    is_driven_part,
     is_rather_driven,
     probability_of_drive,
 )
@@ -284,11 +284,11 @@ class _Division:
             latest_s = end_s - (0.0 if plucked else TUNING.least_free_cycles / self.frequency_hz)
             onset = self._stop(begin_s, end_s, prior, place, latest_s)
             if onset is not None:
-                self._add("driven", begin_s, onset.time_s, onset.note)
+                self._add("driven", begin_s, onset.time_s, onset.note, onset.confidence)
                 self._decay(onset, end_s)
                 return False, end_s > part.end_s
-        if is_probably_driven(probability):
-            self._add("driven", part.start_s, part.end_s, Note.STEADY_AT(hz=self.frequency_hz))
+        if is_driven_part(probability):
+            self._add("driven", part.start_s, part.end_s, Note.STEADY_AT(hz=self.frequency_hz), probability)
         else:
             # What is not known to be driven may tell its damping ratio, with a wide interval.
             self._decay(self._start(part), part.end_s)
@@ -383,8 +383,10 @@ class _Division:
         self.decays.append(Decay(onset, end_s))
         self._add("decay", onset.time_s, end_s, onset.note)
 
-    def _add(self, kind: SegmentKind, start_s: float, end_s: float, note: str = "") -> None:
-        self.segments.append(Segment(kind, start_s, end_s, note))
+    def _add(
+        self, kind: SegmentKind, start_s: float, end_s: float, note: str = "", driven: float = float("nan")
+    ) -> None:
+        self.segments.append(Segment(kind, start_s, end_s, note, driven))
 
     def _without_transients(self) -> None:
         """A decay between two steady motions is the transient of a drive that has changed."""

@@ -148,7 +148,7 @@ def is_rather_driven(probability: float) -> bool:
     return probability > 0.5
 
 
-def is_probably_driven(probability: float) -> bool:
+def is_driven_part(probability: float) -> bool:
     """Whether a part of a record is called driven, where no decay follows that would tell."""
     return probability > TUNING.probable
 

@@ -376,8 +376,8 @@ class Budget:
         template and of the light that vary from frame to frame are part of it.
     clock_hz : float
         Frame rate. A damping ratio does not depend on it.
-    model_hz, model_damping : float
-        Dependence on the amplitude, detected or beyond what the record can show.
+    errors : mapping of str to (float, float)
+        Of frequency and damping ratio by cause, as `modal_id.Posterior.errors`.
     rest_hz, rest_damping : float
         What the draws contain beyond these: shape of the posterior and error of the sampler. 0 where the parts explain
         the total.
@@ -389,13 +389,12 @@ class Budget:
     total_hz: float
     noise_hz: float
     clock_hz: float
-    model_hz: float
     rest_hz: float
     damping_ratio: float
     total_damping: float
     noise_damping: float
-    model_damping: float
     rest_damping: float
+    errors: Mapping[str, tuple[float, float]]
 
 
 def budget(recording: str, mode: IdentifiedMode) -> Budget:
@@ -403,19 +402,19 @@ def budget(recording: str, mode: IdentifiedMode) -> Budget:
     draws = mode.posterior
     noise_hz, noise_damping = (draws.noise_factor * sd for sd in draws.laplace_sd)
     clock_hz = 1e-6 * draws.rate_sd_ppm * mode.frequency_hz
-    in_hz = (noise_hz, clock_hz, draws.systematic_frequency_hz)
-    of_damping = (noise_damping, draws.systematic_damping_ratio)
     return Budget(
         recording,
         mode.number,
         mode.frequency_hz,
         mode.frequency_sd_hz,
-        *in_hz,
-        _rest(mode.frequency_sd_hz, in_hz),
+        noise_hz,
+        clock_hz,
+        _rest(mode.frequency_sd_hz, (noise_hz, clock_hz, draws.systematic_frequency_hz)),
         mode.damping_ratio,
         mode.damping_ratio_sd,
-        *of_damping,
-        _rest(mode.damping_ratio_sd, of_damping),
+        noise_damping,
+        _rest(mode.damping_ratio_sd, (noise_damping, draws.systematic_damping_ratio)),
+        draws.errors,
     )
 
 

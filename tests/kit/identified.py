@@ -47,8 +47,6 @@ def identified_mode(
         "autocorrelation_steps": 1.0,
         "acceptance": 0.5,
         "noise_factor": 1.0,
-        "systematic_frequency_hz": 0.0,
-        "systematic_damping_ratio": 0.0,
         "laplace_sd": (sd[0] * frequency_hz, sd[1] * damping_ratio),
         "seed": (1,),
     }

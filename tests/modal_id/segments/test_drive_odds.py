@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import cauchy, norm
 
-from modal_id.segments import drive_probability, is_probably_driven, may_be_driven
+from modal_id.segments import drive_probability, is_driven_part, may_be_driven
 
 # Widths, limits and other constants that the description of the function states.
 DRIVE_CHANGES, LOG_ZETA = np.array([0.0005, 0.005]), np.linspace(np.log(1e-5), np.log(0.5), 200_001)
@@ -52,8 +52,8 @@ def test_a_steady_motion_before_a_light_decay_is_a_drive_and_before_a_hand_may_b
 
     Alone, the part is not called driven: that takes odds of two to one.
     """
-    assert is_probably_driven(drive_probability(0.001, 0.001, 22.0, follows=0.003))
-    assert not is_probably_driven(drive_probability(0.001, 0.001, 22.0))
+    assert is_driven_part(drive_probability(0.001, 0.001, 22.0, follows=0.003))
+    assert not is_driven_part(drive_probability(0.001, 0.001, 22.0))
     assert 0.05 < drive_probability(0.065, 0.02, 180.0, follows=0.05) < 0.5
 
 
