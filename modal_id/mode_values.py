@@ -128,14 +128,9 @@ class Posterior(Table):
     errors: Errors = field(default_factory=dict)
 
     @property
-    def systematic_frequency_hz(self) -> float:
-        """Standard deviation of the frequency for all `errors`."""
-        return total_error(self.errors)[0]
-
-    @property
-    def systematic_damping_ratio(self) -> float:
-        """Standard deviation of the damping ratio for all `errors`."""
-        return total_error(self.errors)[1]
+    def systematic(self) -> tuple[float, float]:
+        """Standard deviations of frequency (Hz) and damping ratio for all `errors`."""
+        return total_error(self.errors)
 
     @property
     def frequency_in_record_hz(self) -> FloatArray:

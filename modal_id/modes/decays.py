@@ -248,8 +248,9 @@ def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedM
     frequency = combine([v.frequency_hz for v in values], [v.frequency_sd_hz for v in values])
     zeta = combine([v.damping_ratio for v in values], [v.damping_ratio_sd for v in values])
     # What changes with the amplitude changes in every decay: more of them do not average it out.
-    frequency = replace(frequency, sd=max(frequency.sd, mode.posterior.systematic_frequency_hz))
-    zeta = replace(zeta, sd=max(zeta.sd, mode.posterior.systematic_damping_ratio))
+    least_hz, least = mode.posterior.systematic
+    frequency = replace(frequency, sd=max(frequency.sd, least_hz))
+    zeta = replace(zeta, sd=max(zeta.sd, least))
     posterior = replace(
         mode.posterior,
         frequency_hz=_moved(mode.posterior.frequency_hz, frequency),

@@ -67,8 +67,7 @@ def severities(
     draws = mode.posterior
     values = (float(np.median(draws.frequency_hz)), float(np.median(draws.damping_ratio)))
     sd = (float(np.std(draws.frequency_hz)), float(np.std(draws.damping_ratio)))
-    model_sd = (draws.systematic_frequency_hz, draws.systematic_damping_ratio)
-    shares = [part / max(whole, 1e-300) for part, whole in zip(model_sd, sd, strict=True)]
+    shares = [part / max(whole, 1e-300) for part, whole in zip(draws.systematic, sd, strict=True)]
     limits = (TUNING.wide_frequency, TUNING.wide_damping)
     wide = any(own > limit * value for own, value, limit in zip(sd, values, limits, strict=True))
     weak = signal_to_noise(model, index) < TUNING.low_snr
@@ -190,5 +189,5 @@ def _sd_below(mode: SampledMode) -> float:
     """Standard deviation of the damping ratio, without the distance to its values at other amplitudes."""
     variance = float(np.var(mode.posterior.damping_ratio))
     if mode.dependence is not None and mode.dependence.significant:
-        variance -= mode.posterior.systematic_damping_ratio**2
+        variance -= mode.posterior.systematic[1] ** 2
     return float(np.sqrt(max(variance, 0.0)))

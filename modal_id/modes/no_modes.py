@@ -138,8 +138,8 @@ def _line(one: SampledMode) -> _Line:
     f, zeta = float(np.median(draws.frequency_hz)), float(np.median(draws.damping_ratio))
     omega = 2.0 * np.pi * f
     sd = [draws.noise_factor * value for value in draws.laplace_sd]
-    reach = draws.systematic_frequency_hz, draws.systematic_damping_ratio
-    return _Line(f, sd[0], reach[0], omega * zeta, omega * sd[1], omega * reach[1])
+    reach_hz, reach = draws.systematic
+    return _Line(f, sd[0], reach_hz, omega * zeta, omega * sd[1], omega * reach)
 
 
 def _tone(own: _Line, parents: list[_Line], rate_hz: float) -> Refusal | None:

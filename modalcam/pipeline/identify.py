@@ -409,11 +409,11 @@ def budget(recording: str, mode: IdentifiedMode) -> Budget:
         mode.frequency_sd_hz,
         noise_hz,
         clock_hz,
-        _rest(mode.frequency_sd_hz, (noise_hz, clock_hz, draws.systematic_frequency_hz)),
+        _rest(mode.frequency_sd_hz, (noise_hz, clock_hz, draws.systematic[0])),
         mode.damping_ratio,
         mode.damping_ratio_sd,
         noise_damping,
-        _rest(mode.damping_ratio_sd, (noise_damping, draws.systematic_damping_ratio)),
+        _rest(mode.damping_ratio_sd, (noise_damping, draws.systematic[1])),
         draws.errors,
     )
 

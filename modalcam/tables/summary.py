@@ -136,8 +136,8 @@ def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
         "nodes": [node._asdict() for node in find_nodes(series.positions_mm, mode.shape, mode.shape_sd)],
         "sampler": _fields(
             mode.posterior,
-            "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "
-            "systematic_damping_ratio extrapolation_frequency_hz extrapolation_damping_ratio laplace_sd seed",
+            "r_hat ess autocorrelation_steps acceptance noise_factor errors extrapolation_frequency_hz "
+            "extrapolation_damping_ratio laplace_sd seed",
         ),
     }
 
