@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from modal_id.data import (
     reject_outliers,
     rough_variance,
 )
-from modal_id.fit.amplitude_dependence import are_resolved, only_two_explain, split_mode, strong_poles
+from modal_id.fit.amplitude_dependence import split_mode
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit
 from modal_id.fit.spectrum import SAME_LINE, Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
@@ -173,9 +172,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
         if finished:
             break
         current, finished = search.step(current)
-    fitted = _sorted(current)
-    single = _without_merged_pairs(fitted)
-    return fitted if single is fitted else _sorted(single)
+    return _sorted(current)
 
 
 @dataclass
@@ -295,25 +292,6 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit:
             return refit(model, poles, model.data, search=True)
         if model.unresolved_near(index) is None:
             model = replace(model, unresolved=(*model.unresolved, split.strong))
-    return model
-
-
-def _without_merged_pairs(model: ModalFit) -> ModalFit:
-    """Replace each pair whose poles have merged, since other modes were added, by the stronger of the two."""
-    frequency = np.asarray(frequency_hz(model.fit.poles))
-    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
-    for one, other in combinations(range(frequency.size), 2):
-        near = abs(frequency[one] - frequency[other]) < OWN_BAND * frequency[one]
-        if not near or are_resolved(model.fit.poles[[one, other]], model.data.span_s):
-            continue
-        weaker = one if strength[one] < strength[other] else other
-        kept = np.delete(model.fit.poles, weaker)
-        single = refit(model, kept, model.data, search=True)
-        two = replace(model.fit, poles=model.fit.poles[[one, other]])
-        if only_two_explain(model.data, two, single.fit.linear, complex(two.poles[0])):
-            continue
-        pair = strong_poles(two.poles, model.fit.linear.amplitudes[[one, other]])
-        return _without_merged_pairs(replace(single, unresolved=(*model.unresolved, pair)))
     return model
 
 

@@ -61,8 +61,6 @@ class Tuning:
     least_cycles: float = 6.0
     #: [samples] samples per cycle of the fastest mode in the search for the time of a change
     samples_per_cycle: float = 8.0
-    #: [1] rms of a channel at rest over that of the motion that follows
-    rest_share: float = 0.2
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
 
@@ -241,12 +239,9 @@ class PieceFitter:
                 yield Piece(Segment("disturbed", onset.time_s, end_s, f"{why.reason}."), None, why)
                 continue
             before, after = _divided(one, change)
-            kinds: tuple[SegmentKind, SegmentKind] = ("disturbed", "disturbed")
-            if _rests_until(one.data, change.start_s):
-                kinds = ("disturbed", "at rest")
-            for (begin, end), kind in zip((after, before), kinds, strict=True):
+            for begin, end in (after, before):
                 if end - begin.fit_from_s > TUNING.least_cycles * _cycle_s(one):
-                    waiting.append((begin, end, kind))
+                    waiting.append((begin, end, "disturbed"))
                 else:
                     yield Piece(Segment("disturbed", begin.time_s, end, Note.CHANGES_AROUND()))
 
@@ -328,17 +323,6 @@ class PieceFitter:
             return None
         channels = self.used.channels[moving] if mixed is None else self.used.channels
         return Omissions(model, errors, channels, mixed)
-
-
-def _rests_until(data: FitData, time_s: float) -> bool:
-    """Whether each channel moves by less than a small share of its later motion until a time: before a release."""
-    moves = []
-    for rows in (data.time_s < time_s, data.time_s >= time_s):
-        weights = data.weights[rows]
-        total = np.maximum(np.sum(weights, axis=0), 1e-300)
-        centred = data.values[rows] - np.sum(weights * data.values[rows], axis=0) / total
-        moves.append(np.sqrt(np.sum(weights * centred**2, axis=0) / total))
-    return bool(np.all(moves[0] < TUNING.rest_share * moves[1]))
 
 
 def _without(data: FitData, rows: BoolArray) -> FitData:
