@@ -26,7 +26,6 @@ from modal_id.modes import (
     combine_decays,
     grows,
     most_informative,
-    without_faint,
     without_held,
 )
 from modal_id.pieces import DecayFits, fit_decays
@@ -252,10 +251,9 @@ def _of_decays(
 
     Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
     """
-    for chosen, note in ((without_faint, Note.FAINT()), (without_held, Note.HELD())):
-        kept = chosen(decays)
-        segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], note)
-        decays = kept
+    kept = without_held(decays)
+    segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
+    decays = kept
     position = most_informative(decays)
     main = decays[position]
     if all(grows(one) for one in decays):

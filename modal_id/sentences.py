@@ -167,7 +167,6 @@ class Note(Enum):
     SEGMENT = "{kind} from {start_s:.4g} s to {end_s:.4g} s"
     RECORD_SHOWS = "The record shows: {segments}."
     HELD = "Held: the motion goes on at the frequency of the free decay, with a much larger damping ratio."
-    FAINT = "The decay here is much weaker than another one of the record."
     CLICK = "A click; the motion goes on as before."
     EVENT_ENDS_DECAY = "An event ends the decay; give end_s to use what follows."
     STOPPED = "The motion was stopped."

@@ -27,7 +27,6 @@ from .decays import grows as grows
 from .decays import held_decays as held_decays
 from .decays import held_odds as held_odds
 from .decays import most_informative as most_informative
-from .decays import without_faint as without_faint
 from .decays import without_held as without_held
 from .flag_rules import CLOSE as CLOSE
 from .flag_rules import mode_flags as mode_flags

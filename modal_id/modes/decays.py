@@ -37,8 +37,6 @@ class Tuning:
     #: [sd] rate over zero below which a motion may not decay
     #: statistics: 2.3 % of driven motions exceed it.
     decays_sd: float = 2.0
-    #: [1] energy over the record's largest below which a decay is a click or a transient
-    faint: float = 1e-3
 
 
 TUNING = Tuning()
@@ -138,19 +136,6 @@ def grows(one: FittedDecay) -> bool:
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
     growth, sd = float(fit.poles[strongest].real), float(fit.pole_sd[strongest, 0])
     return growth > 0.0 and growth >= DECAYS_SD * sd * noise_level(one.model, None, strongest).factor
-
-
-def without_faint(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
-    """Decays but those that are faint beside another: a click before a drive, for instance, decays as well."""
-    energy = np.array([_largest_energy(one.model) for one in fitted])
-    return tuple(one for one, own in zip(fitted, energy, strict=True) if own >= TUNING.faint * np.max(energy))
-
-
-def _largest_energy(model: ModalFit) -> float:
-    """Largest energy of a mode in a channel, in the square of the unit times seconds."""
-    linear, poles = model.fit.linear, model.fit.poles
-    rate = np.maximum(np.abs(poles.real), 1.0 / max(model.data.span_s, 1e-300))
-    return float(np.max(np.max(np.abs(linear.amplitudes) ** 2, axis=1) / rate))
 
 
 def most_informative(fitted: Sequence[FittedDecay]) -> int:
