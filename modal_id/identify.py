@@ -116,7 +116,7 @@ def identify_free_decay(
 ) -> Identification | Failure:
     """Identify a series known to be one free decay from its first sample to its last.
 
-    As `identify`, without the search for driving, plucks and disturbances, which takes most of its time.
+    As `identify`, without the search for parts, which takes most of its time; a motion that is driven is named.
     """
     settings = IdentifySettings() if settings is None else settings
     samples = _samples(series, settings)
@@ -162,9 +162,9 @@ def _frequency_shift(model: ModalFit, index: int) -> float:
 def _one_decay(series: DisplacementSeries, used: Prepared) -> RecordParts:
     """The record as one free decay, in the time of the series."""
     last_s = float(used.data.time_s[-1])
-    undisturbed = np.zeros(used.data.time_s.size, dtype=bool)
+    disturbed = np.zeros(used.data.time_s.size, dtype=bool)
     onset = record_start(0.0)
-    parts = RecordParts((Decay(onset, last_s),), (Segment("decay", 0.0, last_s),), undisturbed, onset)
+    parts = RecordParts((Decay(onset, last_s),), (Segment("decay", 0.0, last_s),), disturbed, onset)
     return parts.shifted(float(series.time_s[used.first_row]))
 
 
@@ -230,9 +230,9 @@ def _of_uneven_frames(
     if len(after) < 2:
         return None
     before = tuple(s for s in parts.segments if s.start_s < first.time_s)
-    whole = replace(parts, decays=(Decay(first, last_s),), segments=before)
+    as_one = replace(parts, decays=(Decay(first, last_s),), segments=before)
     undivided = fit_decays(
-        series, used, whole, settings.max_modes, lowest_hz, whole=True, named_hz=settings.add_hz
+        series, used, as_one, settings.max_modes, lowest_hz, whole=True, named_hz=settings.add_hz
     )
     # A fit with a reason leaves motion that no free decay explains: frames were not the cause of the division.
     if not undivided.decays or undivided.reasons or not converted(series, used, undivided.decays[0]):
