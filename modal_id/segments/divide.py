@@ -344,12 +344,12 @@ class _Division:
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
     def _drive_precedes(self, part: _Part, follows: _Part, prior: float) -> bool:
-        """Whether the motion is steady in the latter half, when the transient of its start is over."""
-        late = self.thin.between(0.5 * (part.start_s + part.end_s), part.end_s)
+        """Whether the motion is steady; the transient of its start, in the first of many cycles, does not count."""
         few = (part.end_s - part.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
-        if few or late.time_s.size < TUNING.least_rows:
-            return True
-        return is_rather_driven(self._probability(late, prior, follows))
+        late = self.thin.between(part.start_s if few else 0.5 * (part.start_s + part.end_s), part.end_s)
+        return late.time_s.size < TUNING.least_rows or is_rather_driven(
+            self._probability(late, prior, follows)
+        )
 
     def _keeps_amplitude(self, part: _Part) -> bool:
         """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
