@@ -236,12 +236,13 @@ def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedM
     least_hz, least = mode.posterior.systematic
     frequency = replace(frequency, sd=max(frequency.sd, least_hz))
     zeta = replace(zeta, sd=max(zeta.sd, least))
+    between = frequency.between_sd, zeta.between_sd
     posterior = replace(
         mode.posterior,
         frequency_hz=_moved(mode.posterior.frequency_hz, frequency),
         # Reflected at zero: damping ratios stay positive.
         damping_ratio=np.abs(_moved(mode.posterior.damping_ratio, zeta)),
-        errors={**mode.posterior.errors, "decays": (frequency.between_sd, zeta.between_sd)},
+        errors={**mode.posterior.errors, **({"decays": between} if max(between) > 0.0 else {})},
     )
     ordered = tuple(sorted(values, key=lambda v: v.start_s))
     return replace(mode, posterior=posterior, decays=ordered)
