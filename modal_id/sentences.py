@@ -172,6 +172,7 @@ class Note(Enum):
     STOPPED = "The motion was stopped."
     STOPPED_OR_TOUCHED = "The motion was stopped or touched."
     STEADY_AT = "Steady motion at {hz:.4g} Hz."
+    STEADY_UNTIL_CHANGE = "The motion is steady until it changes."
     DRIVE_CHANGES = "The drive changes."
     HELD_UNTIL_RELEASE = "Held until the release."
     CHANGES_AROUND = "The motion changes before and after."

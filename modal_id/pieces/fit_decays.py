@@ -12,7 +12,7 @@ from modal_id.fit import ModalFit
 from modal_id.modes import FittedDecay
 from modal_id.pieces.fit_pieces import Piece, PieceFitter
 from modal_id.record import Segment
-from modal_id.segments import RecordParts, holds_a_decay, record_start
+from modal_id.segments import RecordParts, holds_a_decay, record_start, strongest_is_driven
 from modal_id.sentences import Note, Refusal
 from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
 from tracker import ComplexArray, DisplacementSeries, FloatArray
@@ -113,17 +113,34 @@ def fit_decays(
     splits = 0 if whole else TUNING.most_splits
     pieces: list[Piece] = []
     for decay in parts.decays:
-        pieces += fitter.pieces(decay.onset, decay.end_s, splits)
+        pieces += _with_drives(tuple(fitter.pieces(decay.onset, decay.end_s, splits)))
     segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]
     segments += [click for one in pieces if one.fit is not None for click in one.fit.clicks]
-    decays = [one.fit for one in pieces if one.fit is not None]
-    driven: list[FittedDecay] = []
+    decays = [one.fit for one in pieces if one.fit is not None and one.segment.kind != "driven"]
+    driven = [one.fit for one in pieces if one.fit is not None and one.segment.kind == "driven"]
     if not decays:
-        decays, driven, segments = _driven_stretches(fitter, parts, segments)
+        decays, others, segments = _driven_stretches(fitter, parts, segments)
+        driven += others
     if not decays and not driven:
         decays, segments = _rough_decay(fitter.rough, segments)
     reasons = tuple(one.why for one in pieces if one.why is not None)
     return DecayFits(tuple(decays), tuple(driven), tuple(segments), reasons)
+
+
+def _with_drives(pieces: tuple[Piece, ...]) -> list[Piece]:
+    """The pieces of a divided decay in order of time; a steady one before a change is driven.
+
+    That from the user's onset is free, as the user says.
+    """
+    found = list(pieces)
+    for k, (one, follows) in enumerate(pairwise(pieces)):
+        model = None if follows.fit is None else follows.fit.model
+        if one.fit is None or one.fit.onset.source == "user":
+            continue
+        if strongest_is_driven(one.fit.model, model):
+            driven = replace(one.segment, kind="driven", note=Note.STEADY_UNTIL_CHANGE())
+            found[k] = replace(one, segment=driven)
+    return found
 
 
 def _driven_stretches(
