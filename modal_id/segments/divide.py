@@ -347,9 +347,10 @@ class _Division:
         """Whether the motion is steady; the transient of its start, in the first of many cycles, does not count."""
         few = (part.end_s - part.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
         late = self.thin.between(part.start_s if few else 0.5 * (part.start_s + part.end_s), part.end_s)
-        return late.time_s.size < TUNING.least_rows or is_rather_driven(
-            self._probability(late, prior, follows)
+        probability = (
+            self._probability(late, prior, follows) if late.time_s.size >= TUNING.least_rows else 0.0
         )
+        return is_rather_driven(probability)
 
     def _keeps_amplitude(self, part: _Part) -> bool:
         """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
