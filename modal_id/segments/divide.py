@@ -17,7 +17,7 @@ from modal_id.segments.drive_odds import (
     is_rather_driven,
     probability_of_drive,
 )
-from modal_id.segments.events import JOINS, Event, find_events
+from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
     drive_then_decay,
@@ -309,7 +309,7 @@ class _Division:
         if following is None or event is None or self._at_rest(following):
             return own
         # A base that stops abruptly is an event, too. Where the motion goes on, it may have been found too late.
-        late = self._others(part.start_s, following.end_s) if event.jump < JOINS else []
+        late = self._others(part.start_s, following.end_s) if not event.jumps else []
         return [(following.end_s, event.place), *own, *((following.end_s, one) for one in late)]
 
     def _others(self, start_s: float, end_s: float) -> list[ChangeSearch]:
@@ -420,7 +420,7 @@ def _rises(part: _Part) -> bool:
 
 def _prior(part: _Part) -> float:
     """Probability of a drive: a motion that does not join the one before is more often plucked than driven."""
-    return PRIOR_AFTER_JUMP if part.before is not None and part.before.jump >= JOINS else PRIOR
+    return PRIOR_AFTER_JUMP if part.before is not None and part.before.jumps else PRIOR
 
 
 def _shifted(onset: Onset, by_s: float) -> Onset:

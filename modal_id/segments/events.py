@@ -42,10 +42,10 @@ class Tuning:
     #: convention: Noise imitates a smaller one.
     grows: float = 1.0
     #: [1] jump of the motion over its larger amplitude below which it is continuous
-    joins: float = 0.4
+    continuous: float = 0.4
     #: [1] largest number of changes at which the motion is continuous
     #: convention: A drive, a decay, a hand, its release. More are those of a motion that is forced at random.
-    most_joined: int = 3
+    most_continuous: int = 3
     #: [1] ratio of amplitudes from which the amplitude rises
     rise: float = 1.25
     #: [1] ratio of amplitudes below which it falls
@@ -53,7 +53,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-JOINS = TUNING.joins
 
 EventKind = Literal["rise", "fall", "interruption", "burst"]
 
@@ -74,6 +73,11 @@ class Event:
     decay_per_s: float = 0.0
     sd_s: float = float("nan")
     jump: float = 1.0
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the motion is not continuous: it is plucked, or a drive starts."""
+        return self.jump >= TUNING.continuous
 
     @property
     def place(self) -> ChangeSearch:
@@ -120,8 +124,9 @@ def find_events(
             data = replace(data, weights=np.where(inside[:, None], 0.0, data.weights))
         else:
             begin = event.end_s
-    joined = [e for e in events if e.jump < TUNING.joins]
-    events = events if len(joined) <= TUNING.most_joined else [e for e in events if e not in joined]
+    continuous = [e for e in events if not e.jumps]
+    if len(continuous) > TUNING.most_continuous:
+        events = [e for e in events if e.jumps]
     return events, others
 
 
@@ -157,8 +162,8 @@ def _event(
     if place is None:
         return None
     event = _of_kind(data, place, before, after, cycle_s)
-    joins = event.kind == "interruption" and event.jump < TUNING.joins
-    if before is None or after is None or not joins or not _goes_on(before, after, data):
+    continuous = event.kind == "interruption" and not event.jumps
+    if before is None or after is None or not continuous or not _goes_on(before, after, data):
         return event
     # the strongest motion goes on; only samples that neither side explains are disturbed
     apart = event.end_s - event.start_s > 1.5 * data.step_s
