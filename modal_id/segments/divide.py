@@ -13,6 +13,7 @@ from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.drive_odds import (
     PRIOR,
     PRIOR_AFTER_JUMP,
+    decays,
     is_driven_part,
     is_rather_driven,
     probability_of_drive,
@@ -344,13 +345,14 @@ class _Division:
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
     def _drive_precedes(self, part: _Part, follows: _Part, prior: float) -> bool:
-        """Whether the motion is steady; the transient of its start, in the first of many cycles, does not count."""
+        """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
+        late = self.thin.between(0.5 * (part.start_s + part.end_s), part.end_s)
         few = (part.end_s - part.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
-        late = self.thin.between(part.start_s if few else 0.5 * (part.start_s + part.end_s), part.end_s)
-        probability = (
-            self._probability(late, prior, follows) if late.time_s.size >= TUNING.least_rows else 0.0
-        )
-        return is_rather_driven(probability)
+        if few or late.time_s.size < TUNING.least_rows:
+            return True
+        if not is_rather_driven(self._probability(late, prior, follows)):
+            return False
+        return not decays(self.thin.between(part.start_s, part.end_s), self.frequency_hz, self.lowest_hz)
 
     def _keeps_amplitude(self, part: _Part) -> bool:
         """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""

@@ -67,6 +67,8 @@ class Tuning:
     #: [beats] modes with fewer beats in the record are close
     #: physics: One mode whose amplitude changes may imitate them.
     close_beats: float = 4.0
+    #: [1] share of the power that the fit of a free decay may leave
+    most_left: float = 0.05
     #: [1] share from which the fit tells nothing of a drive
     unexplained: float = 0.3
 
@@ -176,6 +178,14 @@ def probability_of_drive(
         _, after, line = _line(follows, line_hz, lowest_hz)
         later = float(damping_ratio(complex(after.poles[line]))) if after.converged else None
     return _probability(data, fit, index, prior, later)
+
+
+def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
+    """Whether the line at this frequency decays significantly, and free decays leave little beside it."""
+    data, fit, index = _line(data, line_hz, lowest_hz)
+    sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
+    decays_ = -float(fit.poles[index].real) > _DECAY_SD * sd
+    return fit.converged and decays_ and _left(data, fit) < TUNING.most_left
 
 
 def _left(data: FitData, fit: PoleFit) -> float:
