@@ -364,7 +364,8 @@ class _Division:
         if self.rest_until_s is not None and part.end_s <= self.rest_until_s:
             return True
         known = np.isfinite(self.level)
-        if not np.any(known) or _rises(part):
+        # After a pluck, and where it goes on at its amplitude, the motion moves, for however few cycles.
+        if not np.any(known) or (part.before is not None and part.before.kind != "fall"):
             return False
         half_s = float(self.block_s[0])
         within = known & (self.block_s >= part.start_s + half_s) & (self.block_s <= part.end_s - half_s)
