@@ -6,8 +6,6 @@ from kit.identified import in_sd
 from kit.series import decay, series_of
 
 from modal_id import IdentifySettings, identify
-from modal_id.data import FitData
-from modal_id.segments import from_largest_deflection
 
 
 @pytest.mark.parametrize("drive_hz", [7.0, pytest.param(20.0, marks=pytest.mark.slow)])
@@ -69,12 +67,6 @@ def test_a_drive_that_ends_a_few_cycles_before_a_pluck_is_no_decay(left_s):
     assert np.max(np.abs(in_sd(found.target, 5.0, 0.01))) < 4.0, found.target
     # two decays of 9 s know the damping ratio to 3e-6, one of the tail to 2e-4
     assert found.target.damping_ratio_sd < 2e-5, found.target.decays
-
-
-def test_motion_that_does_not_fall_has_no_release():
-    t = np.arange(400) / 20.0
-    y = np.sin(0.7 * t) + 0.01 * np.random.default_rng(4).standard_normal(t.size)
-    assert from_largest_deflection(FitData(t, y[:, None], np.ones((t.size, 1)))) is None
 
 
 def test_a_refusal_names_the_channel_that_moves_its_amplitude_and_the_noise():
