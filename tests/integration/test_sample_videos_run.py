@@ -73,8 +73,6 @@ def test_the_true_value_is_in_every_99_percent_interval(out, truth):
             low, high = mode[interval]
             assert low <= t[quantity] <= high, f"mode {t['mode']} {quantity} {t[quantity]}, {low} to {high}"
     for one in summary["uncertainty"]:
-        parts = [one["noise_damping"], one["rest_damping"], *(zeta for _, zeta in one["errors"].values())]
-        assert np.linalg.norm(parts) == pytest.approx(one["total_damping"], rel=0.1), one
         if one["recording"] == f"mode{one['mode']}":
             assert one["rest_damping"] < 0.3 * one["total_damping"], f"causes explain the target's sd: {one}"
 

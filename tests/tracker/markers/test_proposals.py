@@ -41,6 +41,10 @@ def test_nothing_is_proposed_where_nothing_moves(frames):
     assert propose_points(frames).shape == (0, 2)
 
 
+def test_a_frame_in_which_a_spot_is_not_seen_is_not_its_stillest():
+    assert proposals.stillest_frame(np.outer([0.0, 9.0, 18.0, np.nan, 18.1, 40.0], [1.0, 0.0])) == 0
+
+
 def test_deep_images_give_the_same_points():
     frames = film(3.0, noise=0.0)
     deep = [image.astype(np.uint16) * 16 for image in frames]
