@@ -86,7 +86,7 @@ def severities(
     if ModeFlag.FEW_CYCLES_LOST in found and ModeFlag.DAMPING_TOUCHES_ZERO in found:
         # Both flags are due to little decay; one of them is enough at the higher severity.
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
-    # Of few cycles, 4 of 63 that are not confirmed are wrong in 2500 random records; of all modes, 4 in a thousand.
+    # Of few cycles, 4 of 63 that are not confirmed are wrong in 2500 random records; of all, 10 of 2541 in 1500.
     if ModeFlag.NOT_CONFIRMED in found and not weak and ModeFlag.SHORT_RECORD not in found:
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
     if ModeFlag.RESIDUAL_AT_MODE in found and mode.residual_power < TUNING.far_too_much_left:

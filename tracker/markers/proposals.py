@@ -327,8 +327,8 @@ def stillest_frame(path_px: FloatArray) -> int:
     """Frame in which a spot with this path, shape (n, 2), moves least; the first unless another is clearly better."""
     if len(path_px) < 3:
         return 0
-    # 0 times the place: not known where the spot is not seen
-    speed = np.linalg.norm(path_px[2:] - path_px[:-2] + 0.0 * path_px[1:-1], axis=1) / 2.0
+    speed = np.linalg.norm(path_px[2:] - path_px[:-2], axis=1) / 2.0
+    speed[np.isnan(path_px[1:-1, 0])] = np.nan  # the spot is not seen there
     if not np.isfinite(speed[0]):
         return 0
     best = 1 + int(np.nanargmin(speed))
