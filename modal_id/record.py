@@ -25,14 +25,15 @@ class Segment:
     note : str
         A sentence for the report.
     driven_probability : float
-        Posterior probability that the motion is driven and not free; NaN where it was not asked.
+        Posterior probability that the motion is driven and not free; before a stop, of a drive that stops there
+        (`Onset.confidence`); NaN where it was not asked.
     """
 
     kind: SegmentKind
     start_s: float
     end_s: float
     note: str = field(default="", repr=False)
-    driven_probability: float = field(default=float("nan"), repr=False)
+    driven_probability: float = field(default=float("nan"), repr=False, compare=False)
 
     def __str__(self) -> str:
         return Note.SEGMENT(kind=self.kind, start_s=self.start_s, end_s=self.end_s)
