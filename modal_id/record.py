@@ -33,7 +33,7 @@ class Segment:
     start_s: float
     end_s: float
     note: str = field(default="", repr=False)
-    driven_probability: float = field(default=float("nan"), repr=False, compare=False)
+    driven_probability: float = field(default=float("nan"), repr=False)
 
     def __str__(self) -> str:
         return Note.SEGMENT(kind=self.kind, start_s=self.start_s, end_s=self.end_s)
