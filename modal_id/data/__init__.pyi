@@ -28,3 +28,5 @@ from .samples import outlier_share as outlier_share
 from .samples import reject_outliers as reject_outliers
 from .samples import rough_variance as rough_variance
 from .samples import runs as runs
+from .samples import spikes as spikes
+from .samples import without_spikes as without_spikes

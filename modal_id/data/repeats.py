@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import ndtri
 
-from modal_id.data.samples import MIN_SAMPLES, runs
-from tracker import BoolArray, DisplacementSeries, FloatArray, robust_sd
+from modal_id.data.samples import MIN_SAMPLES, interpolation, runs, spikes
+from tracker import BoolArray, DisplacementSeries, FloatArray
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,6 @@ class Tuning:
     #: [1] step over the noise of a sample above which there is no repetition
     #: physics: At rest, all steps are noise.
     small_noise: float = 0.3
-    #: [1] order of the linear prediction
-    order: int = 8
-    #: [1] largest number of samples predicted, evenly spread
-    #: statistics: They determine the noise to within 1 %.
-    most_windows: int = 50_000
     #: [samples] rows on either side with which a repetition is compared
     #: physics: Motion and noise change during a decay.
     around: int = 100
@@ -52,12 +47,6 @@ class Tuning:
     #: [1] share of the distances between changes that must be a multiple of the usual distance
     #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
     even: float = 0.9
-    #: [1] windows that determine one coefficient of the prediction, at least
-    #: convention: Fewer would be fitted, and the noise be found too small.
-    windows_each: int = 4
-    #: [sd] error of the prediction from which a window is left out
-    #: statistics: Noise alone reaches it in one window of 16 000.
-    unpredicted: float = 4.0
 
 
 TUNING = Tuning()
@@ -89,7 +78,8 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     if np.count_nonzero(finite) < MIN_SAMPLES - 1 or not np.all(np.any(np.isfinite(bends), axis=0)):
         return repeated
     typical = _typical(steps[finite])
-    small = np.minimum(TUNING.small_bend * np.nanmedian(bends, axis=0), TUNING.small_noise * _noise(values))
+    noise = np.array([interpolation(column[np.isfinite(column)])[2] for column in values.T])
+    small = np.minimum(TUNING.small_bend * np.nanmedian(bends, axis=0), TUNING.small_noise * noise)
     least = small / np.maximum(typical, 1e-300)
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > TUNING.coarse * typical):
@@ -112,8 +102,13 @@ def repeated_rows(values: FloatArray) -> BoolArray:
             log_p = max(log_p, _log_chance(bend[start : end - 1], bend[around]))
         if log_p < np.log(TUNING.false_alarm / places):
             repeated[start + 1 : end + 1] = True
-    stalls = _stalls(np.diff(values, axis=0) / typical)
-    return repeated | stalls if np.mean(stalls) > TUNING.stalled_share else repeated
+    steps = np.diff(values, axis=0) / typical
+    if np.mean(_stalls(steps)) > TUNING.stalled_share:
+        # beside a spike, all other steps are small
+        off = np.stack([spikes(column) for column in values.T], axis=1)
+        stalls = _stalls(np.diff(np.where(off, np.nan, values), axis=0) / typical)
+        repeated |= stalls & (np.mean(stalls) > TUNING.stalled_share)
+    return repeated
 
 
 def _typical(steps: FloatArray) -> FloatArray:
@@ -136,32 +131,6 @@ def _stalls(steps: FloatArray) -> BoolArray:
         if start > 0 and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
             stalled[start + 1 : end + 1] = True
     return stalled
-
-
-def _noise(values: FloatArray) -> FloatArray:
-    """Standard deviation of the noise of each channel, by linear prediction; at least that of the samples at rest.
-
-    Without a known frequency, prediction from the preceding samples separates noise from motion at any number of
-    samples a cycle.
-    """
-    result = np.full(values.shape[1], np.inf)
-    for channel, column in enumerate(values.T):
-        windows = np.lib.stride_tricks.sliding_window_view(column, TUNING.order + 1)
-        windows = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
-        windows = windows[np.all(np.isfinite(windows), axis=1)]
-        while windows.shape[0] > TUNING.windows_each * TUNING.order:
-            gram = windows.T @ windows
-            past = gram[:-1, :-1]
-            ridge = 1e-12 * np.trace(past) + 1e-300
-            weights = np.linalg.solve(past + ridge * np.eye(TUNING.order), gram[:-1, -1])
-            error = windows[:, -1] - windows[:, :-1] @ weights
-            spread = robust_sd(error)
-            result[channel] = spread / np.sqrt(1.0 + weights @ weights)
-            near = np.abs(error) <= TUNING.unpredicted * spread
-            if np.all(near):
-                break
-            windows = windows[near]
-    return result
 
 
 def _log_chance(values: FloatArray, around: FloatArray) -> float:

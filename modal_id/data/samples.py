@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from tracker import MAD_TO_SD, BoolArray, FloatArray
+from tracker import MAD_TO_SD, BoolArray, FloatArray, robust_sd
 
 # A record, a channel or a part of either with fewer samples tells nothing.
 MIN_SAMPLES = 12
@@ -120,6 +121,93 @@ def rough_variance(data: FitData) -> FloatArray:
     return np.maximum(result, floor)
 
 
+def without_spikes(data: FitData) -> FitData:
+    """The data with the samples at weight 0 that `spikes` finds."""
+    values = np.where(data.weights > 0.0, data.values, np.nan)
+    found = np.stack([spikes(column) for column in values.T], axis=1)
+    return replace(data, weights=np.where(found, 0.0, data.weights))
+
+
+def spikes(values: FloatArray) -> BoolArray:
+    """Mask of single samples of a channel that leave the motion about them; shape (n,), as `values`, NaN where missing.
+
+    A spike differs from its interpolation by more than most samples of the record and nearby; and without it, or
+    without it and another one nearby, the samples about it are interpolated well. At a step, a release and in a longer
+    click they are not.
+    """
+    found, near, side = np.zeros(values.size, dtype=bool), TUNING.near, TUNING.side
+    for _ in range(TUNING.passes):
+        rows = np.flatnonzero(np.isfinite(values) & ~found)
+        if rows.size <= max(2 * (near + side), 4 * side):
+            break
+        # about its ends, a record goes on with the same slope
+        beyond = 4 * side
+        error, weights, _ = interpolation(np.pad(values[rows], beyond, mode="reflect", reflect_type="odd"))
+        around = np.median(sliding_window_view(np.abs(error), near), axis=1)
+        # samples whose interpolation does not contain this one, on the side without another spike
+        nearby = np.full(error.size, np.inf)
+        nearby[near + side :] = around[: -side - 1]
+        nearby[: -near - side] = np.minimum(nearby[: -near - side], around[side + 1 :])
+        limit = TUNING.spike * np.maximum(nearby, np.median(np.abs(error)))
+        own = _alone_or_two(error, weights, limit) - beyond
+        own = own[(own >= 0) & (own < rows.size)]
+        if not own.size:
+            break
+        found[rows[own]] = True
+    return found
+
+
+def _alone_or_two(error: FloatArray, weights: FloatArray, limit: FloatArray) -> NDArray[np.intp]:
+    """Rows where one error above its limit, or two, explain all errors of interpolation about them."""
+    side = TUNING.side
+    # errors of interpolation about a sample that is off by 1
+    pattern = np.insert(-weights[::-1], side, 1.0)
+    places = np.flatnonzero(np.abs(error) > limit)
+    places = places[(places >= 2 * side) & (places < error.size - 3 * side - 1)]
+    found = []
+    for apart in range(2 * side + 1):
+        columns = np.zeros((2 * side + 1 + apart, 1 + (apart > 0)))
+        columns[: 2 * side + 1, 0] = pattern
+        columns[apart:, -1] = pattern
+        around = error[places[:, None] + np.arange(-side, side + 1 + apart)]
+        size = around @ np.linalg.pinv(columns).T
+        left = np.max(np.abs(around - size @ columns.T), axis=1)
+        least = np.min(np.abs(size), axis=1)
+        explained = left < np.maximum(TUNING.cured * least, TUNING.cured_limit * limit[places])
+        own = places[explained & (least > limit[places])]
+        found += [own, own + apart]
+    return np.unique(np.concatenate(found))
+
+
+def interpolation(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Error of the best interpolation of each sample from its neighbours, its weights, and the noise of a sample.
+
+    As linear prediction does, it separates noise from motion without a known frequency, at any number of samples a
+    cycle. `values`, shape (n,), have no NaN; the errors of the first and last samples are 0, the noise is infinite
+    where the samples do not determine the weights, shape (2 side,).
+    """
+    side = TUNING.side
+    windows = sliding_window_view(values - np.median(values), 2 * side + 1)
+    error, weights = np.zeros(values.size), np.zeros(2 * side)
+    noise_sd = float("inf")
+    some = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
+    while some.shape[0] > TUNING.windows_each * 2 * side:
+        gram = some.T @ some
+        others = np.delete(np.delete(gram, side, 0), side, 1)
+        ridge = 1e-12 * np.trace(others) + 1e-300
+        weights = np.linalg.solve(others + ridge * np.eye(2 * side), np.delete(gram[:, side], side))
+        own = some @ np.insert(-weights, side, 1.0)
+        spread = robust_sd(own)
+        noise_sd = spread / float(np.sqrt(1.0 + weights @ weights))
+        kept = np.abs(own) <= TUNING.unexplained * spread
+        if np.all(kept):
+            break
+        some = some[kept]
+    if np.isfinite(noise_sd):
+        error[side:-side] = windows @ np.insert(-weights, side, 1.0)
+    return error, weights, noise_sd
+
+
 def detrended(data: FitData) -> FloatArray:
     """Values less the mean of each channel, 0 where missing."""
     total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
@@ -163,6 +251,30 @@ class Tuning:
     mostly: float = 0.8
     #: [1] share of the record that counts as its beginning
     beginning: float = 0.1
+    #: [1] samples on either side from which one is interpolated
+    side: int = 4
+    #: [samples] number of samples on either side that tell how well the motion is interpolated
+    near: int = 8
+    #: [1] error of interpolation of a spike over the median error of all samples, and of those nearby
+    #: statistics: Six standard deviations of noise.
+    spike: float = 9.0
+    #: [1] largest error of interpolation about a spike that it does not explain, over its size
+    #: physics: At a step of slow motion it is .2, and .14 of the smaller of two.
+    cured: float = 0.1
+    #: [1] the same over the least error of a spike
+    #: statistics: Five standard deviations of noise.
+    cured_limit: float = 0.33
+    #: [1] windows that determine one weight of the interpolation, at least
+    #: convention: Fewer would be fitted, and the noise be found too small.
+    windows_each: int = 4
+    #: [sd] error of the interpolation from which a window is left out
+    #: statistics: Noise alone reaches it in one window of 16 000.
+    unexplained: float = 4.0
+    #: [samples] largest number of samples that determine the weights, evenly spread
+    #: statistics: They determine the noise to within 1 %.
+    most_windows: int = 50_000
+    #: [1] largest number of searches: spikes near others are found when these are gone
+    passes: int = 8
 
 
 TUNING = Tuning()

@@ -16,6 +16,7 @@ from modal_id.data import (
     limited,
     reject_outliers,
     rough_variance,
+    without_spikes,
 )
 from modal_id.fit.amplitude_dependence import split_mode
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
@@ -163,7 +164,8 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     more than the Bayesian information criterion asks for, with the noise level taken from the spectrum around it, so
     that coloured noise produces no modes.
     """
-    current = _first_mode(data, lowest_hz)
+    # spikes that the modes explain return with the rejection of outliers
+    current = _first_mode(without_spikes(data), lowest_hz)
     if current is None:
         return None
     search = _Search(data.weights, max_modes, lowest_hz)

@@ -1,5 +1,7 @@
 from .boundary import Boundary as Boundary
 from .boundary import locate_boundary as locate_boundary
+from .clicks import click_segments as click_segments
+from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
@@ -26,8 +28,5 @@ from .partition import best_division as best_division
 from .partition import find_changes as find_changes
 from .partition import likeliest_change as likeliest_change
 from .partition import stretch_costs as stretch_costs
-from .spikes import click_segments as click_segments
-from .spikes import without_clicks as without_clicks
-from .spikes import without_spikes as without_spikes
 from .whole_record import no_line as no_line
 from .whole_record import whole_record as whole_record

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.data import FitData, detrended, rough_variance
+from modal_id.data import FitData, detrended, rough_variance, without_spikes
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.change_point import ChangeSearch
 from modal_id.segments.drive_odds import (
@@ -30,7 +30,6 @@ from modal_id.segments.find_onset import (
 )
 from modal_id.segments.lines import Tones, find_tones, line_blocks, without_swing
 from modal_id.segments.partition import Change, likeliest_change
-from modal_id.segments.spikes import without_spikes
 from modal_id.sentences import Note, Reason, Refusal
 from tracker import BoolArray, FloatArray
 
@@ -72,26 +71,34 @@ class Tuning:
 TUNING = Tuning()
 
 
-def rest_until(data: FitData, variance: FloatArray, frequency_hz: float) -> float | None:
-    """Time of the last sample at rest, where the record is at rest until a motion of this frequency begins.
+def rest_until(data: FitData, variance: FloatArray, tones_hz: tuple[float, ...]) -> float | None:
+    """Time of the last sample at rest, where the record is at rest until a motion of these lines begins.
 
-    `variance`, shape (k,), is the noise variance of each channel. None where the record moves within its first half
-    cycle, where it drifts, or where no motion follows.
+    `variance`, shape (k,), is the noise variance of each channel. None where the record moves within the first half
+    cycle of the slowest line, or where no motion as fast as the first line follows.
     """
-    cycle = 1.0 / (frequency_hz * data.step_s)
-    first = max(TUNING.least_samples, int(np.ceil(0.5 * cycle)))
+    first = max(TUNING.least_samples, int(np.ceil(0.5 / (min(tones_hz) * data.step_s))))
     used = data.weights > 0.0
     if data.time_s.size <= 2 * first or not np.all(np.any(used[:first], axis=0)):
         return None
-    values = np.where(used, data.values, np.nan)
-    level = np.nanmedian(values[:first], axis=0)
-    size = np.nan_to_num(np.abs(values - level) * np.sqrt(data.weights / variance))
+    begins = np.nanmedian(np.where(used, data.values, np.nan)[:first], axis=0)
+    # later, the level of the half cycle before: slow drift is rest
+    seen = _sums_before(used.astype(float), first)
+    seen[seen < 0.5 * first] = np.nan
+    level = np.concatenate([np.tile(begins, (first, 1)), _sums_before(used * data.values, first) / seen])
+    size = np.nan_to_num(np.abs(data.values - level) * np.sqrt(data.weights / variance))
     moving = np.any(size > TUNING.within, axis=1)
     begin = int(np.argmax(moving))
-    follows = size[begin : begin + int(TUNING.motion_cycles * cycle) + 1]
+    follows = size[begin : begin + int(TUNING.motion_cycles / (tones_hz[0] * data.step_s)) + 1]
     if not moving[begin] or begin < first or np.max(follows) < TUNING.moves:
         return None
     return float(data.time_s[begin - 1])
+
+
+def _sums_before(values: FloatArray, count: int) -> FloatArray:
+    """Sums of as many rows before each row from `count` on."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(total[count:-1] - total[: -count - 1])
 
 
 @dataclass(frozen=True)
@@ -161,6 +168,7 @@ def divide(
         That decay ends with the data, whatever happens in between.
     """
     base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
+    data = without_spikes(data)
     beam = data.channels(~base)
     undisturbed = np.zeros(data.time_s.size, dtype=bool)
     last = float(data.time_s[-1])
@@ -170,12 +178,11 @@ def divide(
         onset = begins_free or record_start(0.0)
         return RecordParts((Decay(onset, last),), (Segment("decay", 0.0, last),), undisturbed, onset)
     strongest = tones.dominant_hz
-    rest_s = rest_until(beam, variance[~base], strongest)
+    rest_s = rest_until(beam, variance[~base], tones.strongest_hz)
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
     # Events are looked for in the strongest lines: they interrupt them, too.
     per_cycle = TUNING.samples_per_cycle * data.step_s
     fine = beam.averaged(max(1, int(1.0 / (per_cycle * max(tones.strongest_hz)))))
-    fine = without_spikes(fine, strongest)
     events, others = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
     division = _Division(data, beam, fine, variance, base, tones, lowest_hz, events, others, rest_s)
     if begins_free is None:

@@ -31,6 +31,9 @@ class Tuning:
     relative_error: float = 0.01
     #: [1] mean square residual within a change over that beside it, where the motion goes on, from which it is a click
     burst: float = 9.0
+    #: [samples] most of them that are outliers and no click
+    #: convention: A quarter of a cycle.
+    few: int = 3
     #: [1] change of the pole of one motion, over half its length, that counts as none
     #: measurement: Weak modes and damping that depends on the amplitude let it change by 0.16 at most in four public
     #: recordings that were divided; a hand changes it by more than 1 in a few cycles.
@@ -286,9 +289,12 @@ def _click(data: FitData, motion: Motion, low_s: float, high_s: float, cycle_s: 
     """The click within a motion that goes on: samples that it does not explain; None without any."""
     rows = data.inside(low_s, high_s)
     left = data.values[rows] - motion.at(data.time_s[rows])[0]
-    square = np.mean(data.weights[rows] * (left - np.mean(left, axis=0)) ** 2 / motion.variance, axis=1)
+    square = np.mean(data.weights[rows] * (left - np.median(left, axis=0)) ** 2 / motion.variance, axis=1)
     loud = np.flatnonzero(square > TUNING.burst)
     if not square.size or float(np.mean(square)) < TUNING.burst:
+        return None
+    if loud.size <= max(TUNING.few, int(np.ptp(loud)) // 2):
+        # outliers between samples of the motion are left to the fit
         return None
     first_s, last_s = data.time_s[rows][loud[[0, -1]]] + np.array([-0.25, 0.25]) * cycle_s
     return Event("burst", max(float(first_s), low_s), min(float(last_s), high_s))

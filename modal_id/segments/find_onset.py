@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from modal_id.data import FitData, beyond_limit, detrended
+from modal_id.data import FitData, beyond_limit, detrended, without_spikes
 from modal_id.fit import find_modes
 from modal_id.record import Onset
 from modal_id.segments.change_point import (
@@ -346,6 +346,7 @@ def from_largest_deflection(data: FitData) -> Onset | None:
 
     For records of so few cycles that no envelope shows the release; times relative to `data`.
     """
+    data = without_spikes(data)
     last = data.rows(slice(int(0.75 * data.time_s.size), None))
     if not np.all(last.counts > 0.0):
         return None

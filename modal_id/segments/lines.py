@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data import FitData, baseline_splines, detrended
-from modal_id.fit import Candidate, candidates, residual_spectrum
-from modal_id.solve import Problem, no_columns, solve_linear
+from modal_id.fit import Candidate, candidates, fit_damped, residual_spectrum
+from modal_id.solve import Problem, frequency_hz, no_columns, solve_linear
 from tracker import ComplexArray, FloatArray
 
 
@@ -101,7 +101,11 @@ def find_tones(
         return None
     # A swing of few cycles is a motion of the support, if there is anything faster.
     many = [c.frequency_hz for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
-    hz = many or [c.frequency_hz for c in found]
+    hz = (
+        many
+        or _short_motion(data, variance, found[0].frequency_hz / TUNING.slow)
+        or [c.frequency_hz for c in found]
+    )
     wanted = tones = hz[:1]
     if wanted_hz is not None:
         nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
@@ -110,6 +114,18 @@ def find_tones(
         if all(abs(one - tone) > TUNING.resolved * hz[0] for tone in tones):
             tones = [*tones, one]
     return Tones(tuple(tones[: TUNING.most_tones]), wanted[0])
+
+
+def _short_motion(data: FitData, variance: FloatArray, lowest_hz: float) -> list[float]:
+    """Frequency of the wave that follows the largest deflection from slow motion: one that decays soon is no line."""
+    splines = baseline_splines(data.time_s, FEW_CYCLES / data.span_s)
+    moving = solve_linear(Problem(data, splines), no_columns(data.time_s)).residual
+    peak = int(np.argmax(np.sum(data.weights * moving**2 / variance, axis=1)))
+    after = replace(data, values=moving).from_time(float(data.time_s[peak]))
+    if after.time_s.size < TUNING.least_window:
+        return []
+    found = fit_damped(after, after.values, lowest_hz)
+    return [] if found is None else [float(frequency_hz(found.fit.poles[0]))]
 
 
 def _lines(data: FitData, variance: FloatArray, lowest_hz: float) -> list[Candidate]:

@@ -35,8 +35,9 @@ def test_many_scattered_outliers_are_rejected_and_flagged(share):
     clean = quick(series, onset_s=0.0).target
     found = quick(series_of(series.time_s, y), onset_s=0.0)
     assert "MANY_OUTLIERS" in found.target.flags
-    # Every outlier exceeds 28 sd; one in two million good samples is rejected.
-    assert np.count_nonzero(~found.used) == hit.sum()
+    # Every outlier exceeds 28 sd; one in two million good samples is rejected, but in one cluster, within half a cycle.
+    assert not np.any(found.used[hit])
+    assert np.count_nonzero(~found.used) < hit.sum() + 0.5 * 500.0 / 26.84 + 4
     # The remaining samples contain the fraction 1 - share of the information.
     assert found.target.damping_ratio_sd == pytest.approx(
         clean.damping_ratio_sd / np.sqrt(1 - share), rel=0.3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from kit.series import decay
 
-from modal_id.data import FitData
-from modal_id.segments import find_events, without_spikes
+from modal_id.data import FitData, without_spikes
+from modal_id.segments import find_events
 
 
 @pytest.mark.parametrize("seed", range(3, 6))
@@ -33,7 +33,7 @@ def test_a_stop_in_a_gap_is_an_event(outliers):
     y[hit] += rng.choice([-1.0, 1.0], outliers) * rng.uniform(1.0, 3.0, outliers)
     weights = np.where((t > 2.0) & (t < 2.3), 0.0, 1.0)[:, None]
     data = FitData(t, y[:, None] * weights, weights)
-    found, _ = find_events(without_spikes(data, 20.0), (20.0,), 0.0)
+    found, _ = find_events(without_spikes(data), (20.0,), 0.0)
     (event,) = [one for one in found if one.kind != "burst"]
     assert event.kind == "fall"
     # Windows of two cycles at every half cycle, of which the last and the first are without the gap.
