@@ -108,13 +108,17 @@ class FitData:
 
 
 def rough_variance(data: FitData) -> FloatArray:
-    """Noise variance of each channel, known or from second differences: an upper bound where fast modes are present."""
+    """Noise variance of each channel, known or from what its samples do not tell of each other.
+
+    By `interpolation`, or by second differences where that is less or the samples are few: an upper bound for these
+    where fast modes are present.
+    """
     result = np.ones(data.values.shape[1])
     for channel in range(result.size):
         good = data.values[data.weights[:, channel] > 0.0, channel]
         if good.size > 4:
-            second = np.diff(good, 2)
-            result[channel] = (MAD_TO_SD * np.median(np.abs(second))) ** 2 / 6.0
+            second = robust_sd(np.diff(good, 2)) / np.sqrt(6.0)
+            result[channel] = min(second, interpolation(good)[2]) ** 2
     if data.noise_variance is not None:
         result = np.where(np.isfinite(data.noise_variance), data.noise_variance, result)
     floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
@@ -187,9 +191,11 @@ def interpolation(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     where the samples do not determine the weights, shape (2 side,).
     """
     side = TUNING.side
-    windows = sliding_window_view(values - np.median(values), 2 * side + 1)
     error, weights = np.zeros(values.size), np.zeros(2 * side)
     noise_sd = float("inf")
+    if values.size <= 2 * side:
+        return error, weights, noise_sd
+    windows = sliding_window_view(values - np.median(values), 2 * side + 1)
     some = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
     while some.shape[0] > TUNING.windows_each * 2 * side:
         gram = some.T @ some
