@@ -8,7 +8,7 @@ import numpy as np
 
 from modal_id.curve import is_one_curve
 from modal_id.data import are_many
-from modal_id.fit import OWN_BAND, ModalFit, StabilityDiagram, nyquist_hz
+from modal_id.fit import DECAY_TIMES, OWN_BAND, ModalFit, StabilityDiagram, nyquist_hz
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.decays import DECAYS_SD
 from modal_id.modes.numbering import possible_aliases
@@ -86,8 +86,11 @@ def severities(
     if ModeFlag.FEW_CYCLES_LOST in found and ModeFlag.DAMPING_TOUCHES_ZERO in found:
         # Both flags are due to little decay; one of them is enough at the higher severity.
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
-    # Of few cycles, 4 of 63 that are not confirmed are wrong in 2500 random records; of all, 10 of 2541 in 1500.
-    if ModeFlag.NOT_CONFIRMED in found and not weak and ModeFlag.SHORT_RECORD not in found:
+    # Of strongest modes that are seen for few cycles, 9 of 62 that are not confirmed are wrong in 2500 random records;
+    # of others, 1 of 197.
+    seen_s = min(model.data.span_s, DECAY_TIMES / (2.0 * np.pi * values[0] * values[1]))
+    few = index == model.strongest and values[0] * seen_s < TUNING.least_cycles
+    if ModeFlag.NOT_CONFIRMED in found and not (weak or few):
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
     if ModeFlag.RESIDUAL_AT_MODE in found and mode.residual_power < TUNING.far_too_much_left:
         found[ModeFlag.RESIDUAL_AT_MODE] = Severity.INTERVAL
