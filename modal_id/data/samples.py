@@ -158,7 +158,9 @@ def spikes(values: FloatArray) -> BoolArray:
         if not own.size:
             break
         found[rows[own]] = True
-    return found
+    # several in a row are a click, of which each round removes some
+    near_others = np.convolve(found, np.ones(2 * side + 1), "same") > TUNING.most_spikes
+    return np.asarray(found & ~near_others)
 
 
 def _alone_or_two(error: FloatArray, weights: FloatArray, limit: FloatArray) -> NDArray[np.intp]:
@@ -264,6 +266,9 @@ class Tuning:
     #: [1] error of interpolation of a spike over the median error of all samples, and of those nearby
     #: statistics: Six standard deviations of noise.
     spike: float = 9.0
+    #: [1] largest number of spikes among a sample and those that interpolate it
+    #: convention: More are a click.
+    most_spikes: int = 3
     #: [1] largest error of interpolation about a spike that it does not explain, over its size
     #: physics: At a step of slow motion it is .2, and .14 of the smaller of two.
     cured: float = 0.1

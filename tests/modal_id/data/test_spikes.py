@@ -36,8 +36,10 @@ def test_an_event_is_not_removed(at, size, seed):
     noise = NOISE * rng.standard_normal(t.size)
     pluck = np.where(np.arange(t.size) < at, 0.0, size * np.cos(2 * np.pi * 10.0 * (t - t[at])))
     step = decay(t, 10.0, 0.005, 1.0, 0.3) + np.where(np.arange(t.size) < at, 0.0, size)
-    for y in (pluck, step):
-        assert not removed(t, y + noise).size, "more samples than one leave the motion before it"
+    click = step - np.where(np.arange(t.size) < at + 6, 0.0, size)
+    for y, most in ((pluck, 0), (step, 0), (click, 2)):
+        # of a click of fifteen sd, noise hides that its edges are steps
+        assert removed(t, y + noise).size <= most, "more samples than one leave the motion before it"
 
 
 @pytest.mark.parametrize("seed", range(3))
