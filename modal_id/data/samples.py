@@ -158,9 +158,11 @@ def spikes(values: FloatArray) -> BoolArray:
         if not own.size:
             break
         found[rows[own]] = True
+    if not np.any(found):
+        return found
     # several in a row are a click, of which each round removes some
-    near_others = np.convolve(found, np.ones(2 * side + 1), "same") > TUNING.most_spikes
-    return np.asarray(found & ~near_others)
+    crowded = np.convolve(found, np.ones(2 * side + 1), "same") > TUNING.most_spikes
+    return np.asarray(found & ~crowded)
 
 
 def _alone_or_two(error: FloatArray, weights: FloatArray, limit: FloatArray) -> NDArray[np.intp]:

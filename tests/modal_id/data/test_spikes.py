@@ -28,6 +28,13 @@ def test_single_samples_are_removed_and_no_others(per_cycle):
     assert set(removed(t, y)) == set(hit), "each is 25 or more standard deviations from the motion"
 
 
+@pytest.mark.parametrize("count", [1, 2, 8, 9, 24, 25, 41])
+def test_few_samples_have_no_spikes(count):
+    """As many as a part of a record may have: too few to tell how well one is interpolated, or noise alone."""
+    y = NOISE * np.random.default_rng(count).standard_normal(count)
+    assert not removed(np.arange(float(count)), y).size
+
+
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(at=st.integers(60, 340), size=st.floats(0.3, 3.0), seed=st.integers(0, 9))
 def test_an_event_is_not_removed(at, size, seed):
