@@ -129,7 +129,7 @@ def without_spikes(data: FitData) -> FitData:
     """The data with the samples at weight 0 that `spikes` finds."""
     values = np.where(data.weights > 0.0, data.values, np.nan)
     found = np.stack([spikes(column) for column in values.T], axis=1)
-    return replace(data, weights=np.where(found, 0.0, data.weights))
+    return replace(data, weights=np.where(found, 0.0, data.weights)) if np.any(found) else data
 
 
 def spikes(values: FloatArray) -> BoolArray:
@@ -261,9 +261,11 @@ class Tuning:
     mostly: float = 0.8
     #: [1] share of the record that counts as its beginning
     beginning: float = 0.1
-    #: [1] samples on either side from which one is interpolated
+    #: [samples] on either side, from which one is interpolated
+    #: physics: Four sinusoids of any frequency are interpolated exactly.
     side: int = 4
-    #: [samples] number of samples on either side that tell how well the motion is interpolated
+    #: [samples] on either side, that tell how well the motion is interpolated there
+    #: convention: As many as interpolate one.
     near: int = 8
     #: [1] error of interpolation of a spike over the median error of all samples, and of those nearby
     #: statistics: Six standard deviations of noise.
@@ -286,7 +288,8 @@ class Tuning:
     #: [samples] largest number of samples that determine the weights, evenly spread
     #: statistics: They determine the noise to within 1 %.
     most_windows: int = 50_000
-    #: [1] largest number of searches: spikes near others are found when these are gone
+    #: [1] largest number of searches
+    #: convention: Spikes near others are found when these are gone; most_spikes of them in each neighbourhood.
     passes: int = 8
 
 

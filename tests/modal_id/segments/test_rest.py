@@ -29,7 +29,7 @@ def rest_of(values):
 
 @pytest.mark.parametrize("cycles", [0.8, 2.0, 5.0, 140.0])
 def test_end_of_rest_is_found(cycles):
-    """The last after a swing has moved the marker by nine sd of the noise, three cycles of the motion a thousandth."""
+    """Before the last start, a slow swing moves the marker by nine sd of the noise: slow drift is rest."""
     start = cycles / HZ
     found = rest_of(noisy(impact(T - start, HZ, ZETA, 0.0) + 0.3 * np.sin(2 * np.pi * 2.0 * T), 1))
     # a sine of amplitude 1 from zero exceeds six sd of 0.02, with noise on the way, within two samples
