@@ -21,6 +21,10 @@ class ModeFlag(Enum):
         "exceeds 5 %. The damping ratio then means nothing. Record until the motion has decayed, or give onset_s where "
         "it is known to be free."
     )
+    MAY_BE_HELD = (
+        "The motion ends within a few cycles of the end of a drive: a hand that stops it looks like strong damping. "
+        "The values are those of the structure only if nothing touched it."
+    )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     ADDED = (
         "The mode was fitted because add_hz names it: its line does not exceed the threshold of the search."
@@ -118,6 +122,7 @@ def alias_note(rate_hz: float, hz: float, count: int = 1) -> str:
 _USUAL = {
     ModeFlag.DRIVEN: Severity.WRONG,
     ModeFlag.MAY_BE_DRIVEN: Severity.WRONG,
+    ModeFlag.MAY_BE_HELD: Severity.WRONG,
     ModeFlag.ALIASED_POSSIBLE: Severity.WRONG,
     ModeFlag.UNRESOLVED: Severity.WRONG,
     ModeFlag.HARMONIC: Severity.WRONG,

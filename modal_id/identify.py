@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from modal_id.ambient import identify_ambient
-from modal_id.assemble import assemble, assemble_driven, converted, in_all_rows
+from modal_id.assemble import assemble_driven, converted, in_all_rows
 from modal_id.data import (
     MIN_SAMPLES,
     Prepared,
@@ -21,29 +20,17 @@ from modal_id.data import (
 )
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
 from modal_id.flags import ModeFlag
-from modal_id.modes import (
-    FittedDecay,
-    combine_decays,
-    grows,
-    most_informative,
-    without_held,
-)
 from modal_id.pieces import DecayFits, fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.response import identify_response
-from modal_id.results import FittedMode, Identification, IdentifiedMode
+from modal_id.results import FittedMode, Identification
+from modal_id.roles import modes_of_decays
 from modal_id.segments import (
-    PRIOR,
-    PRIOR_AFTER_JUMP,
-    PRIOR_BESIDE_A_DECAY,
+    HELD_LEAST,
     Decay,
     RecordParts,
     divide,
-    drive_probability,
-    is_rather_driven,
-    may_be_driven,
-    no_onset,
     record_start,
     user_onset,
     whole_record,
@@ -204,14 +191,46 @@ def _identified(
     ):
         fits = undivided
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
-    if fits.decays:
-        return with_rate_error(_of_decays(series, settings, used, fits.decays, segments))
-    if fits.driven:
-        found = assemble_driven(series, settings, used, fits.driven[0])
-        return with_rate_error(replace(found, segments=segments))
+    if fits.decays or fits.driven:
+        if fits.decays:
+            found = modes_of_decays(series, settings, used, fits.decays, segments)
+        else:
+            found = replace(assemble_driven(series, settings, used, fits.driven[0]), segments=segments)
+        asked = found.driven and settings.onset_s is None
+        after = _after_drive(found, settings, lowest_hz) if asked else None
+        return after or with_rate_error(found)
     why = Refusal.joined(fits.reasons or (Reason.SHORT_PIECES() if parts.decays else parts.why,))
     shown = Note.RECORD_SHOWS(segments="; ".join(map(str, segments))) if segments else ""
     return replace(why, reason=f"{why.reason}. {shown}", where=series.name)
+
+
+def _after_drive(
+    found: Identification, settings: IdentifySettings, lowest_hz: float
+) -> Identification | None:
+    """Modes of what follows the last drive, as one decay; None where its target is missing or may be wrong.
+
+    Strong damping looks like a hand that stops the motion: what a hand may damp as much has a flag.
+    """
+    series, before = found.series, found.segments
+    begin_s = max((s.end_s for s in before if s.kind == "driven"), default=float(series.time_s[-1]))
+    own = settings.model_copy(update={"onset_s": begin_s})
+    samples = _samples(series, own)
+    if isinstance(samples, Failure):
+        return None
+    used, usable_from_s = samples
+    parts = _parts(series, used, own, usable_from_s, lowest_hz)
+    first = parts.decays[0]
+    onset = replace(first.onset, source="model", sd_s=float("nan"), note=Note.AFTER_DRIVE())
+    parts = replace(parts, decays=(replace(first, onset=onset), *parts.decays[1:]))
+    after = _identified(series, used, parts, own, lowest_hz, whole=False)
+    if not isinstance(after, Identification) or after.target is None or after.target.wrong_flags:
+        return None
+    modes = (
+        mode.with_flags([ModeFlag.MAY_BE_HELD]) if mode.damping_ratio > HELD_LEAST else mode
+        for mode in after.modes
+    )
+    segments = [s for s in before if s.end_s <= begin_s] + [s for s in after.segments if s.start_s >= begin_s]
+    return replace(after, modes=tuple(modes), segments=tuple(segments))
 
 
 def _of_uneven_frames(
@@ -238,124 +257,6 @@ def _of_uneven_frames(
     if not undivided.decays or undivided.reasons or not converted(series, used, undivided.decays[0]):
         return None
     return undivided
-
-
-def _of_decays(
-    series: DisplacementSeries,
-    settings: IdentifySettings,
-    used: Prepared,
-    decays: tuple[FittedDecay, ...],
-    segments: tuple[Segment, ...],
-) -> Identification:
-    """Modes of the most informative decay, averaged with the same ones of others.
-
-    Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
-    """
-    kept = without_held(decays)
-    segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
-    decays = kept
-    position = most_informative(decays)
-    main = decays[position]
-    if all(grows(one) for one in decays):
-        return _driven(series, settings, used, main, segments)
-    found = combine_decays(assemble(series, settings, used, main), decays, position)
-    probabilities = [_drive_probability(mode, main) for mode in found.modes]
-    driven = max((p for p, mode in zip(probabilities, found.modes, strict=True) if mode.target), default=0.0)
-    segments = _with_probability(segments, main, driven)
-    if is_rather_driven(driven):
-        free = [m for m in found.modes if not is_rather_driven(_drive_probability(m, main, beside=False))]
-        if _target_hz(settings) is not None or not free:
-            return _driven(series, settings, used, main, segments)
-        # The target was the strongest motion, a drift or a hum.
-        found = _with_target(found, max(free, key=lambda mode: mode.amplitude), settings)
-        driven = 0.0 if found.target is None else _drive_probability(found.target, main)
-        segments = _with_probability(segments, main, driven)
-    # A drift or a hum beside the decay stays in the list, with a flag.
-    modes = (
-        _doubted(mode) if may_be_driven(max(driven, p)) else mode
-        for p, mode in zip(probabilities, found.modes, strict=True)
-    )
-    return replace(found, modes=tuple(modes), segments=segments)
-
-
-def _with_probability(segments: tuple[Segment, ...], main: FittedDecay, driven: float) -> tuple[Segment, ...]:
-    """The segments, with the probability that the target in the main decay is driven."""
-    start_s = main.onset.time_s
-    return tuple(
-        replace(s, driven_probability=driven) if s.kind == "decay" and s.start_s == start_s else s
-        for s in segments
-    )
-
-
-def _with_target(found: Identification, target: IdentifiedMode, settings: IdentifySettings) -> Identification:
-    """The result with another target. Without theory it takes the number that the user gave; others have none."""
-    modes = (replace(mode, target=mode is target) for mode in found.modes)
-    if not settings.expected_frequencies_hz:
-        modes = (replace(mode, number=settings.mode if mode.target else None) for mode in modes)
-    return replace(found, modes=tuple(modes))
-
-
-def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
-    """Probability that a mode of a decay is a drive: 0 after the user's onset, and of a further mode of theory.
-
-    With `beside`, another mode than the target has the prior of a motion beside one that decays.
-    """
-    if one.onset.source == "user" or (mode.number is not None and not mode.target):
-        return 0.0
-    after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
-    prior = PRIOR_BESIDE_A_DECAY if beside and not mode.target else after
-    phase = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
-    # what the logarithm of the amplitude loses, and its sd
-    lost, sd = mode.damping_ratio * phase, mode.damping_ratio_sd * phase
-    return drive_probability(lost, sd, phase, prior)
-
-
-def _as_disturbed(
-    segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str
-) -> tuple[Segment, ...]:
-    """The segments, with those of the given decays as disturbed."""
-    starts = {one.onset.time_s for one in decays}
-    return tuple(
-        replace(s, kind="disturbed", note=note) if s.kind == "decay" and s.start_s in starts else s
-        for s in segments
-    )
-
-
-def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
-    """A mode of a motion that is not known to be free, flagged where little of its amplitude is lost."""
-    if ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
-        return mode
-    flag = ModeFlag.MAY_BE_DRIVEN
-    return replace(
-        mode,
-        flags=(flag.name, *mode.flags),
-        notes=(flag.value, *mode.notes),
-        severities=((flag.name, flag.usual_severity.name), *mode.severities),
-    )
-
-
-def _driven(
-    series: DisplacementSeries,
-    settings: IdentifySettings,
-    used: Prepared,
-    one: FittedDecay,
-    segments: tuple[Segment, ...],
-) -> Identification:
-    """Result of a record whose target is driven, or whose motions all grow: its decays are called driven."""
-    onset = replace(no_onset(Reason.STEADY.words), fit_from_s=one.onset.fit_from_s)
-    found = assemble_driven(series, settings, used, replace(one, onset=onset))
-    steady = tuple(
-        replace(s, kind="driven", note=Reason.STEADY.words) if s.kind in ("decay", "driven") else s
-        for s in segments
-    )
-    return replace(found, segments=steady)
-
-
-def _target_hz(settings: IdentifySettings) -> float | None:
-    expected, number = settings.expected_frequencies_hz, settings.mode
-    if number is not None and number <= len(expected):
-        return expected[number - 1]
-    return settings.target_frequency_hz
 
 
 def _of_interval(
@@ -388,7 +289,7 @@ def _parts(
         data,
         rough_variance(data),
         lowest_hz,
-        _target_hz(settings),
+        settings.target_hz,
         base,
         begins_free=None if settings.onset_s is None else user_onset(0.0),
         end_is_given=settings.end_s is not None,

@@ -96,6 +96,9 @@ class IdentifiedMode(Table):
         Names of the `tracker.flags.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
+    in_fit : bool
+        Whether `Identification.fitted` contains the mode. Otherwise only another decay shows it: `shape` is that at its
+        start.
     decays : tuple of DecayValue
         Where several decays of the record show the mode: the values of each, which frequency and damping ratio combine.
     participation, participation_sd : array, shape (k,), or None
@@ -117,6 +120,7 @@ class IdentifiedMode(Table):
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     severities: tuple[tuple[str, str], ...] = ()
+    in_fit: bool = True
     decays: tuple[DecayValue, ...] = ()
     participation: FloatArray | None = None
     participation_sd: FloatArray | None = None
@@ -380,6 +384,11 @@ class Identification(Table):
         return self.ambient is None and self.response is None
 
     @property
+    def fitted_modes(self) -> tuple[IdentifiedMode, ...]:
+        """Modes that are part of `fitted`; only other decays show the others."""
+        return tuple(mode for mode in self.modes if mode.in_fit)
+
+    @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:
         """Modes, and driven motions where there are no modes: the rows of ``modes.csv``."""
         return (*self.modes, *self.driven)
@@ -404,7 +413,7 @@ class Identification(Table):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Measured displacement of the channel that moves most, with the fitted motion and, of a decay, the onset."""
         axes = axes_or_new(ax)
-        strongest = self.target or max(self.modes, key=lambda mode: mode.amplitude, default=None)
+        strongest = self.target or max(self.fitted_modes, key=lambda mode: mode.amplitude, default=None)
         size = np.nanstd(self.series.values, axis=0) if strongest is None else np.abs(strongest.shape)
         channel = int(np.nanargmax(size))
         time_s = self.series.time_s

@@ -187,6 +187,7 @@ class Note(Enum):
     BY_CHANGE = "located to about one cycle by the change from driven motion to a free decay."
     BY_FITS = "located where the fits of the steady vibration and of the free decays ({hz} Hz) join."
     BY_FITS_WITH_BASE = "located where the fits of the steady vibration and of the free decays ({hz} Hz), including the tracked motion of the base, join."
+    AFTER_DRIVE = "Steady motion ends here, and what follows is over within a few cycles."
     RELEASE = "The structure is released at {time_s:.4g} s: the decay starts there. The fit begins {settling_s:.3g} s later, when the shortest transients are over."
     PEAK = "The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
     INTERRUPTION = (
@@ -200,6 +201,7 @@ class Note(Enum):
     SEVERAL_DECAYS = "The record contains {count} free decays; {used} Figures show the decay from {start_s:.4g} s to {end_s:.4g} s."
     ONE_DECAY = "the values are those of the most informative decay, since no other one shows its modes."
     COMBINED = "the values of up to {count} of them that show the same mode are combined, and the scatter between them is part of the standard deviations."
+    OTHER_DECAY = "Only the decay from {start_s:.4g} s to {end_s:.4g} s shows this mode: its shape and amplitude are those there, and the figures of the decay do not show it."
     RATE_ERROR = "The frame rate is known to {ppm:g} ppm (relative sd): the interval of every frequency includes it. The error is common to all modes and to all recordings of one camera, and does not affect damping ratios. If the rate is known better, give fps_tolerance_ppm."
     # modes
     CONVERTED = "Frames fit a converted rate ({how}): {ratio:.4g} recorded ones for each in the file; if the rate given is the camera's, the frequency is {true_hz:.4g} Hz instead of {hz:.4g} Hz."

@@ -147,6 +147,14 @@ class IdentifySettings(IdentifyOptions, Settings):
         """
         return 0.4 * min(self.expected_frequencies_hz, default=0.0)
 
+    @property
+    def target_hz(self) -> float | None:
+        """Frequency of the target, from theory or as given; None where it is unknown."""
+        expected, number = self.expected_frequencies_hz, self.mode
+        if number is not None and number <= len(expected):
+            return expected[number - 1]
+        return self.target_frequency_hz
+
     @model_validator(mode="after")
     def _one_shape_per_frequency(self) -> Any:
         shapes, count = self.expected_shapes, len(self.expected_frequencies_hz)

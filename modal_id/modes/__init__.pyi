@@ -22,12 +22,11 @@ from .converted_rate import any_variance_cost as any_variance_cost
 from .converted_rate import conversion as conversion
 from .converted_rate import least_gain as least_gain
 from .decays import FittedDecay as FittedDecay
+from .decays import by_information as by_information
 from .decays import combine_decays as combine_decays
 from .decays import grows as grows
-from .decays import held_decays as held_decays
-from .decays import held_odds as held_odds
-from .decays import most_informative as most_informative
-from .decays import without_held as without_held
+from .decays import shows_more as shows_more
+from .decays import with_modes as with_modes
 from .flag_rules import CLOSE as CLOSE
 from .flag_rules import mode_flags as mode_flags
 from .flag_rules import severities as severities

@@ -270,7 +270,7 @@ def lines_of(recording: str, found: Identification) -> tuple[Line, ...]:
             mode.posterior.rate_sd_ppm,
             mode.amplitude,
             ModeFlag.ALIASED_POSSIBLE.name in mode.flags,
-            partial(_of_uneven_times, found, mode) if is_uneven else None,
+            partial(_of_uneven_times, found, mode) if is_uneven and mode.in_fit else None,
         )
         for mode in found.modes
         if mode.damping_ratio < 1.0

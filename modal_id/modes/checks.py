@@ -71,9 +71,10 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
 
     Random numbers are derived from the seed of the mode: the same identification gives the same values.
     """
-    if not found.modes:
+    modes = found.fitted_modes
+    if not modes:
         return ()
-    strongest = max(found.modes, key=lambda m: (m.target, m.amplitude))
+    strongest = max(modes, key=lambda m: (m.target, m.amplitude))
     size = np.where(found.channels_used, np.nan_to_num(np.abs(strongest.shape)), -1.0)
     channel = int(np.argmax(size))
     known = np.isfinite(found.series.values[:, channel] - found.fitted[:, channel])
@@ -85,9 +86,9 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     if not np.any(residual):
         return ()
     count = int(np.clip(TUNING.max_values // rows.size, TUNING.min_replicates, TUNING.replicates))
-    poles = np.array([complex(pole(m.omega_n_rad_s, m.damping_ratio)) for m in found.modes])
-    index = found.modes.index(strongest)
-    lowest = bandwidth_hz(min(m.frequency_hz for m in found.modes))
+    poles = np.array([complex(pole(m.omega_n_rad_s, m.damping_ratio)) for m in modes])
+    index = modes.index(strongest)
+    lowest = bandwidth_hz(min(m.frequency_hz for m in modes))
     statistics = _Statistics(time_s, poles, index, strongest.shape[channel], lowest)
     seed = np.random.SeedSequence(strongest.posterior.seed, spawn_key=(7,))
     own = (residual / np.std(residual))[:, None]

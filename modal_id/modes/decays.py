@@ -1,20 +1,20 @@
-"""Several decays in one record: which are held by a hand, which is the most informative, the values of all combined."""
+"""Several decays in one record: in order of what they tell, their modes and the values of these combined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data import FitData
+from modal_id.data import OUTLIER_SD, FitData
 from modal_id.fit import ModalFit
+from modal_id.flags import ModeFlag
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
-from modal_id.segments import BETWEEN_SD, held_density
 from modal_id.sentences import Note
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -22,16 +22,8 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """A decay that is held, and the decay that gives a mode."""
+    """Modes of several decays."""
 
-    #: [1] probability, before it is seen, that a decay after another is held
-    held: float = 0.1
-    #: [1] relative distance of frequencies within which two decays show the same motion
-    #: convention: A hand shifts the frequency, too.
-    same_motion: float = 0.05
-    #: [1] ratio of amplitudes from which a later decay has the larger one
-    #: convention: That of a start located half a cycle early differs by less.
-    louder: float = 1.25
     #: [1] relative distance of frequencies of two decays within which modes are the same
     same: float = 0.02
     #: [sd] rate over zero below which a motion may not decay
@@ -41,50 +33,8 @@ class Tuning:
 
 TUNING = Tuning()
 DECAYS_SD = TUNING.decays_sd
-
-
-def held_odds(free: DecayValue, other: DecayValue) -> float:
-    """Odds that a decay is held, where `free` is an earlier one of the same motion.
-
-    Parameters
-    ----------
-    free, other : DecayValue
-        Values of one mode in both decays.
-
-    Returns
-    -------
-    float
-        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
-        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
-
-    Notes
-    -----
-    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
-    that settle; if one is held, it has `held_density`.
-    """
-    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
-        return 0.0
-    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
-        return 0.0
-    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
-    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
-    sd = float(np.linalg.norm([*own, BETWEEN_SD]))
-    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
-    more = held_density(free.damping_ratio, other.damping_ratio)
-    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
-    return float(odds) if np.isfinite(odds) else 0.0
-
-
-def held_decays(values: Sequence[DecayValue]) -> tuple[int, ...]:
-    """Indices of the decays that are more probably held than free; `values` are those of the strongest mode of each."""
-    found = []
-    for k, one in enumerate(values):
-        earlier = (
-            free for free in values if abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
-        )
-        if any(held_odds(free, one) > 1.0 for free in earlier):
-            found.append(k)
-    return tuple(found)
+# Flags of a mode that one decay alone does not establish.
+_DOUBTS = {ModeFlag.SHORT_RECORD.name, ModeFlag.DAMPING_TOUCHES_ZERO.name}
 
 
 @dataclass(frozen=True)
@@ -138,9 +88,12 @@ def grows(one: FittedDecay) -> bool:
     return growth > 0.0 and growth >= DECAYS_SD * sd * noise_level(one.model, None, strongest).factor
 
 
-def most_informative(fitted: Sequence[FittedDecay]) -> int:
-    """Index of the decay that determines the damping ratio of its strongest mode best; of those that decay, if any."""
-    return min(range(len(fitted)), key=lambda index: _uncertainty(fitted[index].model))
+def by_information(fitted: Sequence[FittedDecay]) -> list[int]:
+    """Indices of the decays, first the one that determines the damping ratio of its strongest mode best.
+
+    Those whose strongest motion may not decay are last.
+    """
+    return sorted(range(len(fitted)), key=lambda index: _uncertainty(fitted[index].model))
 
 
 def _uncertainty(model: ModalFit) -> tuple[bool, float]:
@@ -149,28 +102,6 @@ def _uncertainty(model: ModalFit) -> tuple[bool, float]:
     strongest = int(np.argmax(np.sum(np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance, axis=1)))
     pole, sd = complex(fit.poles[strongest]), float(fit.pole_sd[strongest, 0])
     return bool(-pole.real <= DECAYS_SD * sd), sd / abs(pole)
-
-
-def without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
-    """Decays but those that are more probably held by a hand than free."""
-    held = held_decays([_strongest_value(one) for one in fitted])
-    return tuple(one for k, one in enumerate(fitted) if k not in held)
-
-
-def _strongest_value(one: FittedDecay) -> DecayValue:
-    """Values of the strongest mode of a decay, without the part of their sd that only sampling shows."""
-    fit, index = one.model.fit, one.model.strongest
-    pole = complex(fit.poles[index])
-    sd = fit.pole_sd[index] * noise_level(one.model, None, index).factor / abs(pole)
-    hz = float(frequency_hz(pole))
-    return DecayValue(
-        one.onset.fit_from_s,
-        hz,
-        hz * float(sd[1]),
-        float(damping_ratio(pole)),
-        float(sd[0]),
-        float(np.max(np.abs(one.amplitudes[index]))),
-    )
 
 
 def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
@@ -191,6 +122,47 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
     start_s, end_s = found.onset.fit_from_s, fitted[main].end_s
     note = Note.SEVERAL_DECAYS(count=len(fitted), used=words(count=used), start_s=start_s, end_s=end_s)
     return replace(found, modes=tuple(modes), notes=(*found.notes, note))
+
+
+def shows_more(one: FittedDecay, found: Identification) -> bool:
+    """Whether the fit of a decay has a motion that is none of the modes found."""
+    return any(_is_new(float(hz), 0.0, found) for hz in frequency_hz(one.model.fit.poles))
+
+
+def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: FittedDecay) -> Identification:
+    """The identification with those of another decay's modes that it lacks and against which no flag speaks.
+
+    A motion at the frequency of one of them that failed is no failure then.
+    """
+    taken = {mode.number for mode in found.modes}
+    note = Note.OTHER_DECAY(start_s=one.onset.fit_from_s, end_s=one.end_s)
+    new = tuple(
+        replace(
+            mode,
+            number=None if mode.number in taken else mode.number,
+            target=False,
+            in_fit=False,
+            notes=(*mode.notes, note),
+        )
+        for mode in modes
+        if _is_new(mode.frequency_hz, mode.frequency_sd_hz, found)
+        and not mode.wrong_flags
+        and _DOUBTS.isdisjoint(mode.flags)
+    )
+    failed = (
+        f for f in found.failed if all(abs(f.frequency_hz / m.frequency_hz - 1.0) > TUNING.same for m in new)
+    )
+    every = sorted((*found.modes, *new), key=lambda mode: mode.frequency_hz)
+    return replace(found, modes=tuple(every), failed=tuple(failed)) if new else found
+
+
+def _is_new(hz: float, sd_hz: float, found: Identification) -> bool:
+    """Whether a frequency is that of no mode found."""
+    reach = (
+        max(TUNING.same * mode.frequency_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz))
+        for mode in found.modes
+    )
+    return all(abs(mode.frequency_hz - hz) > r for mode, r in zip(found.modes, reach, strict=True))
 
 
 def _values_of(mode: IdentifiedMode, fitted: Sequence[FittedDecay], main: int) -> list[DecayValue | None]:

@@ -20,17 +20,16 @@ from modal_id.fit import (
     without_repeating_errors,
 )
 from modal_id.modes import FittedDecay, moving_channels
+from modal_id.pieces.clicks import click_segments, without_clicks
 from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments import (
     Boundary,
     changed_onset,
-    click_segments,
     from_largest_deflection,
     likeliest_change,
     locate_boundary,
     no_line,
-    without_clicks,
 )
 from modal_id.sentences import Note, Reason, Refusal
 from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear

@@ -1,12 +1,11 @@
 from .boundary import Boundary as Boundary
 from .boundary import locate_boundary as locate_boundary
-from .clicks import click_segments as click_segments
-from .clicks import without_clicks as without_clicks
 from .divide import Decay as Decay
 from .divide import RecordParts as RecordParts
 from .divide import divide as divide
 from .divide import rest_until as rest_until
 from .drive_odds import BETWEEN_SD as BETWEEN_SD
+from .drive_odds import HELD_LEAST as HELD_LEAST
 from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
 from .drive_odds import PRIOR_BESIDE_A_DECAY as PRIOR_BESIDE_A_DECAY

@@ -78,7 +78,7 @@ TUNING = Tuning()
 
 # Probabilities of a drive before the change of its amplitude is seen.
 PRIOR, PRIOR_AFTER_JUMP, PRIOR_BESIDE_A_DECAY = TUNING.prior, TUNING.after_jump, TUNING.beside_a_decay
-BETWEEN_SD = TUNING.between
+BETWEEN_SD, HELD_LEAST = TUNING.between, TUNING.held_least
 
 
 def drive_probability(

@@ -41,7 +41,7 @@ TUNING = Tuning()
 
 def shown_mode(found: Identification) -> IdentifiedMode | None:
     """The mode that a recording's figures are about: its target, else the one of the largest amplitude."""
-    return found.target or max(found.modes, key=lambda mode: mode.amplitude, default=None)
+    return found.target or max(found.fitted_modes, key=lambda mode: mode.amplitude, default=None)
 
 
 def main_modes(found: Identification) -> list[IdentifiedMode]:
@@ -184,7 +184,7 @@ def _spans(found: Identification, mode: IdentifiedMode, channel: int) -> tuple[F
     time_s = found.series.time_s
     since = time_s - found.onset.fit_from_s
     rest = found.series.values[:, channel] - found.baseline[:, channel]
-    for other in found.modes:
+    for other in found.fitted_modes:
         if other is not mode:
             rest = rest - mode_motion(other, since, channel)
     good = found.used[:, channel] & np.isfinite(rest)

@@ -103,7 +103,7 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
 
     The complex shape of each mode is projected on that of the beam by least squares over the markers.
     """
-    target = identification.target or max(identification.modes, key=lambda mode: mode.amplitude)
+    target = identification.target or max(identification.fitted_modes, key=lambda mode: mode.amplitude)
     chosen, notes = _numbered(identification, target, modes)
     number = next((n for n, mode in chosen.items() if mode is target), None)
     if number is None:
@@ -147,7 +147,7 @@ def _numbered(
 ) -> tuple[dict[int, IdentifiedMode], list[str]]:
     chosen: dict[int, IdentifiedMode] = {}
     notes = []
-    for mode in sorted(identification.modes, key=lambda mode: mode is not target):
+    for mode in sorted(identification.fitted_modes, key=lambda mode: mode is not target):
         number = mode.number or _nearest(mode.frequency_hz, modes.frequency_hz)
         if number is None or number > modes.count or number in chosen:
             notes.append(

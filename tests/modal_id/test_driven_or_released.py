@@ -206,3 +206,20 @@ def test_a_slow_decay_whose_loss_is_known_is_free():
     t = np.arange(400) / 100.0
     y = decay(t, 5.0, 0.001) + 0.02 * np.random.default_rng(0).standard_normal(t.size)
     assert np.all(np.abs(in_sd(identify(series_of(t, y)).target, 5.0, 0.001)) < 4.0)
+
+
+@pytest.mark.parametrize("sd", [0.001, pytest.param(0.005, marks=pytest.mark.slow)])
+def test_a_motion_that_is_over_two_cycles_after_a_drive_is_a_decay_that_a_hand_may_imitate(sd):
+    """Driven at 9.5 Hz for 5 s, then 10 Hz with a damping ratio of .3: a thousandth is left after 0.37 s."""
+    t = np.arange(550) / 55.0
+    phase = 2.0 * np.pi * 9.5 * 5.0
+    y = np.where(
+        t < 5.0, np.cos(2.0 * np.pi * 9.5 * t), decay(np.clip(t - 5.0, 0.0, None), 10.0, 0.3, phase=phase)
+    )
+    found = identify(series_of(t, y + sd * np.random.default_rng(8).standard_normal(t.size)))
+    assert [s.kind for s in found.segments] == ["driven", "decay"]
+    assert found.onset.time_s == pytest.approx(5.0, abs=0.05)
+    mode = found.target
+    assert "MAY_BE_HELD" in mode.wrong_flags
+    assert np.max(np.abs(in_sd(mode, 10.0, 0.3))) < 4.0, mode
+    assert mode.damping_ratio_sd < 0.01, "25 samples of the motion with that noise give one of .0003 to .002"

@@ -73,7 +73,7 @@ def read_kept_frames(
 
     The recording is read up to the last of these frames; a damaged frame ends the selection.
     """
-    mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
+    mode = found.target or max(found.fitted_modes, key=lambda m: m.amplitude, default=None)
     if mode is None:
         return Failure("no mode was identified")
     last = int(np.flatnonzero(found.decay_rows)[-1])

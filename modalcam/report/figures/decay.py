@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from modal_id import Identification, IdentifiedMode
+from modal_id.data import spikes
 from modalcam.pipeline import RunResult
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.signals import measured_envelope, mode_motion, residual, widest_and_narrowest
@@ -100,6 +101,11 @@ def _motion(
     if found is not None:
         fitted = found.fitted[:, channel] - centre
         trace(axes, series.time_s, fitted, FIT, width=0.6, columns=columns, alpha=0.75, label="fitted")
+        # outliers may be a hundred times as large as the motion
+        kept = (values - centre)[~spikes(values) & (~found.decay_rows | found.used[:, channel])]
+        if found.channels_used[channel] and np.isfinite(kept).any():
+            low, high = np.nanmin(kept), np.nanmax(kept)
+            axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
 
 
 def _finish(
@@ -139,13 +145,16 @@ def _draw_close_up(figure: Figure, shown: Target) -> bool:
 
 
 def _late(shown: Target, span_s: float) -> float:
-    """Where `span_s` begin late in the decay: at six tenths of it, or so that they end with it."""
-    found, _, channel = shown
-    start, end = (
-        found.onset.fit_from_s,
-        float(found.series.time_s[np.flatnonzero(found.used[:, channel])[-1]]),
+    """Where `span_s` begin late in the decay: at six tenths of it, or when half of its visible part is over."""
+    found, mode, channel = shown
+    start = found.onset.fit_from_s
+    end = float(found.series.time_s[np.flatnonzero(found.used[:, channel])[-1]])
+    # until the mode is as large as three standard deviations of the noise
+    times = max(
+        float(np.abs(mode.shape[channel])) / max(3.0 * float(found.residual_sd[channel]), 1e-300), 1.0
     )
-    return max(start, min(start + 0.6 * (end - start), end - span_s))
+    visible_s = np.log(times) / (mode.damping_ratio * mode.omega_n_rad_s)
+    return float(max(start, min(start + min(0.6 * (end - start), 0.5 * visible_s), end - span_s)))
 
 
 def _cycles(axes: Axes, shown: Target, begin_s: float, span_s: float) -> None:
@@ -168,9 +177,12 @@ def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatA
     around = np.searchsorted(found.series.time_s[good], time_s[[0, -1]])
     good = good[max(int(around[0]) - 1, 0) : int(around[1]) + 1]
     sample_s = found.series.time_s[good]
-    rest = found.fitted[good, channel] - sum(mode_motion(m, sample_s - start, channel) for m in found.modes)
-    motion = np.asarray(sum(mode_motion(m, time_s - start, channel) for m in found.modes), dtype=np.float64)
-    return motion + np.interp(time_s, sample_s, rest) if good.size else motion
+    fine, coarse = (
+        np.asarray(sum(mode_motion(m, t - start, channel) for m in found.fitted_modes), dtype=np.float64)
+        for t in (time_s, sample_s)
+    )
+    rest = found.fitted[good, channel] - coarse
+    return fine + np.interp(time_s, sample_s, rest) if good.size else fine
 
 
 class _Extreme(NamedTuple):

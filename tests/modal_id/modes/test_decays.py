@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from kit.identified import quick
-from kit.series import series_of
+from kit.identified import assert_inside, quick
+from kit.series import decay, series_of
 
 FPS, FREQUENCY_HZ, PLUCK_S = 125.0, 12.0, 6.0
 ZETA_SMALL, ZETA_LARGE = 0.003, 0.008
@@ -35,3 +35,20 @@ def test_more_decays_do_not_average_out_what_changes_with_the_amplitude(count):
     ratio = many.damping_ratio_sd / one.damping_ratio_sd
     averaged = count**-0.5
     assert ratio > 0.9, f"the interval of {count} decays is {ratio:.2f} of one's: averaged, {averaged:.2f}"
+
+
+def test_a_mode_that_only_a_less_informative_decay_shows_is_listed_with_that_decay():
+    """The second pluck is longer and gives the modes; the first one alone excites the mode at 31 Hz."""
+    t = np.arange(int(12.0 * FPS)) / FPS
+    y = decay(t, 12.0, 0.004) + (t < 4.0) * decay(t, 31.0, 0.01, 0.6)
+    y[t >= 4.0] = decay(t[t >= 4.0] - 4.0, 12.0, 0.004)
+    found = quick(series_of(t, y + 0.002 * np.random.default_rng(5).standard_normal(t.size)))
+    of_fit, other = found.modes
+    assert found.target is of_fit
+    assert found.fitted_modes == (of_fit,)
+    assert found.onset.time_s == pytest.approx(4.0, abs=0.1)
+    assert len(of_fit.decays) == 2, "both decays show it"
+    assert_inside(of_fit, 12.0, 0.004)
+    assert_inside(other, 31.0, 0.01)
+    assert of_fit.posterior.seed != other.posterior.seed, "draws of their own"
+    assert other.notes[-1].startswith("Only the decay from 0 s to ")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from kit import runs
@@ -155,3 +156,20 @@ def test_the_assurance_criterion_is_that_of_the_drawn_curve():
     assert shown.mac == pytest.approx(expected, abs=1e-3)
     assert shown.mac > 0.99
     assert shape_of(RecordingSubject(recording)).mac != shown.mac, "unknown without theory"
+
+
+@pytest.mark.parametrize("row", [3, -9])
+def test_an_outlier_does_not_set_the_scale_of_the_decay(row):
+    """One sample a hundred times as large as the motion, before the onset or rejected by the fit."""
+    recording = runs.recording(0)
+    found = recording.identification
+    largest = np.nanmax(np.abs(found.series.values), axis=0)
+    values, used = found.series.values.copy(), found.used.copy()
+    values[row], used[row] = 100.0 * largest, False
+    found = replace(found, series=replace(found.series, values=values), used=used)
+    shown = RecordingSubject(replace(recording, series=found.series, identification=found))
+    figure = plt.figure()
+    FIGURES["decay"].draw(figure, FIGURES["decay"].shows(shown))
+    for axes, size in zip(figure.axes[:-1], largest, strict=True):
+        assert np.ptp(axes.get_ylim()) < 3.0 * size, "the motion fills less than two thirds"
+    plt.close(figure)

@@ -1,5 +1,7 @@
 """Quantities that figures derive from a fit, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kit import runs
@@ -46,6 +48,15 @@ def test_the_envelope_is_that_of_eq_1():
     tolerance = 5.0 * found.residual_sd[channel] * np.sqrt(2.0 / 40.0)
     np.testing.assert_allclose(amplitude, expected, atol=tolerance)
     assert time_s.size > 20
+
+
+def test_a_mode_of_another_decay_is_not_in_the_figures_of_this_one():
+    found = identification()
+    other = replace(shown_mode(found), in_fit=False, amplitude=1e3, target=False)
+    both = replace(found, modes=(*found.modes, other))
+    assert shown_mode(both) is shown_mode(found)
+    for one, two in zip(*(measured_envelope(f, shown_mode(f), 1) for f in (found, both)), strict=True):
+        np.testing.assert_array_equal(one, two)
 
 
 def test_the_motion_of_a_mode_solves_its_equation():

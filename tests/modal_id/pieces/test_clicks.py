@@ -6,7 +6,7 @@ from kit.series import pole_of
 
 from modal_id.data import FitData
 from modal_id.fit import find_modes
-from modal_id.segments import click_segments, without_clicks
+from modal_id.pieces import click_segments, without_clicks
 
 RATE_HZ, CHANNELS = 2000.0, 2
 TIME_S = np.arange(8000) / RATE_HZ

@@ -1,0 +1,256 @@
+"""Which decays of a record show the structure, and whether what they show is driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from modal_id.assemble import assemble, assemble_driven
+from modal_id.data import Prepared
+from modal_id.flags import ModeFlag
+from modal_id.modes import (
+    FittedDecay,
+    by_information,
+    combine_decays,
+    grows,
+    shows_more,
+    with_modes,
+)
+from modal_id.posterior import noise_level
+from modal_id.record import Segment
+from modal_id.results import DecayValue, Identification, IdentifiedMode
+from modal_id.segments import (
+    BETWEEN_SD,
+    PRIOR,
+    PRIOR_AFTER_JUMP,
+    PRIOR_BESIDE_A_DECAY,
+    drive_probability,
+    held_density,
+    is_rather_driven,
+    may_be_driven,
+    no_onset,
+)
+from modal_id.sentences import Note, Reason
+from modal_id.settings import IdentifySettings
+from modal_id.solve import damping_ratio, frequency_hz
+from tracker import DisplacementSeries
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A decay that is held by a hand."""
+
+    #: [1] probability, before it is seen, that a decay after another is held
+    held: float = 0.1
+    #: [1] relative distance of frequencies within which two decays show the same motion
+    #: convention: A hand shifts the frequency, too.
+    same_motion: float = 0.05
+    #: [1] ratio of amplitudes from which a later decay has the larger one
+    #: convention: That of a start located half a cycle early differs by less.
+    louder: float = 1.25
+
+
+TUNING = Tuning()
+
+
+def modes_of_decays(
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    used: Prepared,
+    decays: tuple[FittedDecay, ...],
+    segments: tuple[Segment, ...],
+) -> Identification:
+    """Modes of the most informative decay, averaged with the same ones of others.
+
+    Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
+    """
+    kept = without_held(decays)
+    segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
+    decays = kept
+    order = by_information(decays)
+    if all(grows(one) for one in decays):
+        return _driven(series, settings, used, decays[order[0]], segments)
+    position, found = _with_target_in(
+        (k, combine_decays(assemble(series, settings, used, decays[k]), decays, k)) for k in order
+    )
+    main = decays[position]
+    probabilities = [_drive_probability(mode, main) for mode in found.modes]
+    driven = max((p for p, mode in zip(probabilities, found.modes, strict=True) if mode.target), default=0.0)
+    segments = _with_probability(segments, main, driven)
+    if is_rather_driven(driven):
+        free = [m for m in found.modes if not is_rather_driven(_drive_probability(m, main, beside=False))]
+        if settings.target_hz is not None or not free:
+            return _driven(series, settings, used, main, segments)
+        # The target was the strongest motion, a drift or a hum.
+        found = _with_target(found, max(free, key=lambda mode: mode.amplitude), settings)
+        driven = 0.0 if found.target is None else _drive_probability(found.target, main)
+        segments = _with_probability(segments, main, driven)
+    # A drift or a hum beside the decay stays in the list, with a flag.
+    modes = (
+        _doubted(mode) if may_be_driven(max(driven, p)) else mode
+        for p, mode in zip(probabilities, found.modes, strict=True)
+    )
+    found = replace(found, modes=tuple(modes), segments=segments)
+    for k in order:
+        if k != position and not grows(decays[k]) and shows_more(decays[k], found):
+            # draws of its own
+            own = settings.model_copy(update={"seed_key": (*settings.seed_key, k)})
+            other = combine_decays(assemble(series, own, used, decays[k]), decays, k)
+            found = with_modes(found, _rather_free(other, decays[k]), decays[k])
+    return found
+
+
+def _with_target_in(results: Iterator[tuple[int, Identification]]) -> tuple[int, Identification]:
+    """The first result that has the target; without one, the first."""
+    first = next(results)
+    return next((one for one in chain((first,), results) if one[1].target is not None), first)
+
+
+def _rather_free(found: Identification, one: FittedDecay) -> Iterator[IdentifiedMode]:
+    """Modes of a decay but those that are rather driven; flagged where they may be."""
+    for mode in found.modes:
+        probability = _drive_probability(mode, one)
+        if not is_rather_driven(probability):
+            yield _doubted(mode) if may_be_driven(probability) else mode
+
+
+def _with_probability(segments: tuple[Segment, ...], main: FittedDecay, driven: float) -> tuple[Segment, ...]:
+    """The segments, with the probability that the target in the main decay is driven."""
+    start_s = main.onset.time_s
+    return tuple(
+        replace(s, driven_probability=driven) if s.kind == "decay" and s.start_s == start_s else s
+        for s in segments
+    )
+
+
+def _with_target(found: Identification, target: IdentifiedMode, settings: IdentifySettings) -> Identification:
+    """The result with another target. Without theory it takes the number that the user gave; others have none."""
+    modes = (replace(mode, target=mode is target) for mode in found.modes)
+    if not settings.expected_frequencies_hz:
+        modes = (replace(mode, number=settings.mode if mode.target else None) for mode in modes)
+    return replace(found, modes=tuple(modes))
+
+
+def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
+    """Probability that a mode of a decay is a drive: 0 after the user's onset, and of a further mode of theory.
+
+    With `beside`, another mode than the target has the prior of a motion beside one that decays.
+    """
+    if one.onset.source == "user" or (mode.number is not None and not mode.target):
+        return 0.0
+    after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
+    prior = PRIOR_BESIDE_A_DECAY if beside and not mode.target else after
+    phase = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
+    # what the logarithm of the amplitude loses, and its sd
+    lost, sd = mode.damping_ratio * phase, mode.damping_ratio_sd * phase
+    return drive_probability(lost, sd, phase, prior)
+
+
+def _as_disturbed(
+    segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str
+) -> tuple[Segment, ...]:
+    """The segments, with those of the given decays as disturbed."""
+    starts = {one.onset.time_s for one in decays}
+    return tuple(
+        replace(s, kind="disturbed", note=note) if s.kind == "decay" and s.start_s in starts else s
+        for s in segments
+    )
+
+
+def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
+    """A mode of a motion that is not known to be free, flagged where little of its amplitude is lost."""
+    if ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
+        return mode
+    flag = ModeFlag.MAY_BE_DRIVEN
+    return replace(
+        mode,
+        flags=(flag.name, *mode.flags),
+        notes=(flag.value, *mode.notes),
+        severities=((flag.name, flag.usual_severity.name), *mode.severities),
+    )
+
+
+def _driven(
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    used: Prepared,
+    one: FittedDecay,
+    segments: tuple[Segment, ...],
+) -> Identification:
+    """Result of a record whose target is driven, or whose motions all grow: its decays are called driven."""
+    onset = replace(no_onset(Reason.STEADY.words), fit_from_s=one.onset.fit_from_s)
+    found = assemble_driven(series, settings, used, replace(one, onset=onset))
+    steady = tuple(
+        replace(s, kind="driven", note=Reason.STEADY.words) if s.kind in ("decay", "driven") else s
+        for s in segments
+    )
+    return replace(found, segments=steady)
+
+
+def without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
+    """Decays but those that are more probably held by a hand than free."""
+    held = held_decays([_strongest_value(one) for one in fitted])
+    return tuple(one for k, one in enumerate(fitted) if k not in held)
+
+
+def _strongest_value(one: FittedDecay) -> DecayValue:
+    """Values of the strongest mode of a decay, without the part of their sd that only sampling shows."""
+    fit, index = one.model.fit, one.model.strongest
+    pole = complex(fit.poles[index])
+    sd = fit.pole_sd[index] * noise_level(one.model, None, index).factor / abs(pole)
+    hz = float(frequency_hz(pole))
+    return DecayValue(
+        one.onset.fit_from_s,
+        hz,
+        hz * float(sd[1]),
+        float(damping_ratio(pole)),
+        float(sd[0]),
+        float(np.max(np.abs(one.amplitudes[index]))),
+    )
+
+
+def held_odds(free: DecayValue, other: DecayValue) -> float:
+    """Odds that a decay is held, where `free` is an earlier one of the same motion.
+
+    Parameters
+    ----------
+    free, other : DecayValue
+        Values of one mode in both decays.
+
+    Returns
+    -------
+    float
+        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
+        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
+
+    Notes
+    -----
+    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
+    that settle; if one is held, it has `held_density`.
+    """
+    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
+        return 0.0
+    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
+        return 0.0
+    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
+    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
+    sd = float(np.linalg.norm([*own, BETWEEN_SD]))
+    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+    more = held_density(free.damping_ratio, other.damping_ratio)
+    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
+    return float(odds) if np.isfinite(odds) else 0.0
+
+
+def held_decays(values: Sequence[DecayValue]) -> tuple[int, ...]:
+    """Indices of the decays that are more probably held than free; `values` are those of the strongest mode of each."""
+    found = []
+    for k, one in enumerate(values):
+        earlier = (
+            free for free in values if abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
+        )
+        if any(held_odds(free, one) > 1.0 for free in earlier):
+            found.append(k)
+    return tuple(found)
