@@ -23,12 +23,11 @@ from modal_id.posterior import noise_level
 from modal_id.record import Segment
 from modal_id.results import DecayValue, Identification, IdentifiedMode
 from modal_id.segments import (
-    BETWEEN_SD,
     PRIOR,
     PRIOR_AFTER_JUMP,
     PRIOR_BESIDE_A_DECAY,
     drive_probability,
-    held_density,
+    held_odds,
     is_rather_driven,
     may_be_driven,
     no_onset,
@@ -43,14 +42,9 @@ from tracker import DisplacementSeries
 class Tuning:
     """A decay that is held by a hand."""
 
-    #: [1] probability, before it is seen, that a decay after another is held
-    held: float = 0.1
     #: [1] relative distance of frequencies within which two decays show the same motion
     #: convention: A hand shifts the frequency, too.
     same_motion: float = 0.05
-    #: [1] ratio of amplitudes from which a later decay has the larger one
-    #: convention: That of a start located half a cycle early differs by less.
-    louder: float = 1.25
 
 
 TUNING = Tuning()
@@ -67,7 +61,7 @@ def modes_of_decays(
 
     Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
     """
-    kept = without_held(decays)
+    kept = _without_held(decays)
     segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
     decays = kept
     order = by_information(decays)
@@ -162,15 +156,8 @@ def _as_disturbed(
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
     """A mode of a motion that is not known to be free, flagged where little of its amplitude is lost."""
-    if ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
-        return mode
-    flag = ModeFlag.MAY_BE_DRIVEN
-    return replace(
-        mode,
-        flags=(flag.name, *mode.flags),
-        notes=(flag.value, *mode.notes),
-        severities=((flag.name, flag.usual_severity.name), *mode.severities),
-    )
+    few = ModeFlag.FEW_CYCLES_LOST.name in mode.flags
+    return mode.with_flags([ModeFlag.MAY_BE_DRIVEN]) if few else mode
 
 
 def _driven(
@@ -190,10 +177,18 @@ def _driven(
     return replace(found, segments=steady)
 
 
-def without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
-    """Decays but those that are more probably held by a hand than free."""
-    held = held_decays([_strongest_value(one) for one in fitted])
-    return tuple(one for k, one in enumerate(fitted) if k not in held)
+def _without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
+    """Decays but those that are more probably held by a hand than free, beside an earlier one of the same motion."""
+    values = [_strongest_value(one) for one in fitted]
+    return tuple(
+        decay
+        for decay, one in zip(fitted, values, strict=True)
+        if not any(
+            abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
+            and held_odds(free, one) > 1.0
+            for free in values
+        )
+    )
 
 
 def _strongest_value(one: FittedDecay) -> DecayValue:
@@ -210,47 +205,3 @@ def _strongest_value(one: FittedDecay) -> DecayValue:
         float(sd[0]),
         float(np.max(np.abs(one.amplitudes[index]))),
     )
-
-
-def held_odds(free: DecayValue, other: DecayValue) -> float:
-    """Odds that a decay is held, where `free` is an earlier one of the same motion.
-
-    Parameters
-    ----------
-    free, other : DecayValue
-        Values of one mode in both decays.
-
-    Returns
-    -------
-    float
-        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
-        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
-
-    Notes
-    -----
-    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
-    that settle; if one is held, it has `held_density`.
-    """
-    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
-        return 0.0
-    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
-        return 0.0
-    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
-    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
-    sd = float(np.linalg.norm([*own, BETWEEN_SD]))
-    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
-    more = held_density(free.damping_ratio, other.damping_ratio)
-    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
-    return float(odds) if np.isfinite(odds) else 0.0
-
-
-def held_decays(values: Sequence[DecayValue]) -> tuple[int, ...]:
-    """Indices of the decays that are more probably held than free; `values` are those of the strongest mode of each."""
-    found = []
-    for k, one in enumerate(values):
-        earlier = (
-            free for free in values if abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
-        )
-        if any(held_odds(free, one) > 1.0 for free in earlier):
-            found.append(k)
-    return tuple(found)

@@ -9,6 +9,7 @@ from scipy.special import ndtr, voigt_profile
 
 from modal_id.data import FitData, rough_variance
 from modal_id.fit import ModalFit, find_modes
+from modal_id.mode_values import DecayValue
 from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
 from tracker import BoolArray
 
@@ -46,6 +47,11 @@ class Tuning:
     #: [1] largest damping ratio of a motion that is held
     #: physics: Above it there is no oscillation to identify.
     held_most: float = 0.7
+    #: [1] probability, before it is seen, that a decay after another is held
+    held: float = 0.1
+    #: [1] ratio of amplitudes from which a later decay has the larger one
+    #: convention: That of a start located half a cycle early differs by less.
+    louder: float = 1.25
     #: [1] sd of the logarithm of the damping ratio between free decays of one structure
     between: float = 0.3
     #: [1] probability of any damping ratio after a free motion, neither its own nor a hand's
@@ -259,3 +265,35 @@ def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:
     power = np.mean(np.abs(waves @ (data.weights * fit.linear.residual)) ** 2, axis=0)
     white = np.maximum(fit.linear.noise_variance * np.sum(data.weights**2, axis=0), 1e-300)
     return float(np.sqrt(max(float(np.max(power / white)), 1.0)))
+
+
+def held_odds(free: DecayValue, other: DecayValue) -> float:
+    """Odds that a decay is held, where `free` is an earlier one of the same motion.
+
+    Parameters
+    ----------
+    free, other : DecayValue
+        Values of one mode in both decays.
+
+    Returns
+    -------
+    float
+        0 where the other decay begins earlier or with a larger amplitude: damping that depends on the amplitude is
+        then as likely a cause. A damping ratio that is not positive, and NaN, give 0.
+
+    Notes
+    -----
+    The logarithm of the ratio of both damping ratios is normal about 0 if both are free, with the scatter of clamps
+    that settle; if one is held, it has `held_density`.
+    """
+    if other.start_s < free.start_s or not other.amplitude < TUNING.louder * free.amplitude:
+        return 0.0
+    if not min(free.damping_ratio, other.damping_ratio) > 0.0:
+        return 0.0
+    ratio = float(np.log(other.damping_ratio / free.damping_ratio))
+    own = (one.damping_ratio_sd / one.damping_ratio for one in (free, other))
+    sd = float(np.linalg.norm([*own, TUNING.between]))
+    same = np.exp(-0.5 * (ratio / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+    more = held_density(free.damping_ratio, other.damping_ratio)
+    odds = TUNING.held / (1.0 - TUNING.held) * more / max(float(same), 1e-300)
+    return float(odds) if np.isfinite(odds) else 0.0

@@ -10,7 +10,7 @@ from kit.identified import quick
 from kit.series import series_of
 
 from modal_id import DecayValue
-from modal_id.roles import held_odds
+from modal_id.segments import held_odds
 
 FPS, FREQUENCY_HZ, ZETA = 100.0, 6.0, 0.002
 FREE = DecayValue(0.0, FREQUENCY_HZ, 1e-3, ZETA, 2e-5, 1.0)
