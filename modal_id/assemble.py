@@ -54,16 +54,22 @@ TUNING = Tuning()
 
 
 def assemble(
-    series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    prepared: Prepared,
+    fitted: FittedDecay,
+    first_stream: int = 0,
 ) -> Identification:
-    """Modes, shapes, flags and fitted motion of one decay."""
+    """Modes, shapes, flags and fitted motion of one decay; random streams from `first_stream` on."""
     model = fitted.model
     poles = model.fit.poles
     # Sampling needs most memory: it precedes the allocation of the arrays below.
     rejected = rejected_modes(frequency_hz(poles), settings)
     sampled = [
         FailedMode.of(Reason.REJECTED(), float(hz)) if outcome is None else outcome
-        for hz, outcome in zip(frequency_hz(poles), sample_modes(model, ~rejected, settings), strict=True)
+        for hz, outcome in zip(
+            frequency_hz(poles), sample_modes(model, ~rejected, settings, first_stream), strict=True
+        )
     ]
     everything = _all_channels(prepared, fitted)
     complete, linear = everything.data, everything.linear

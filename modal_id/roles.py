@@ -43,11 +43,13 @@ class Tuning:
     """A decay that is held by a hand."""
 
     #: [1] relative distance of frequencies within which two decays show the same motion
-    #: convention: A hand shifts the frequency, too.
+    #: convention: A hand shifts the frequency, too, by less.
     same_motion: float = 0.05
 
 
 TUNING = Tuning()
+# Random streams of a decay, more than modes.
+_STREAMS = 1000
 
 
 def modes_of_decays(
@@ -63,10 +65,10 @@ def modes_of_decays(
     """
     kept = _without_held(decays)
     segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
-    decays = kept
+    decays = tuple(one for one in kept if not grows(one))
+    if not decays:
+        return _driven(series, settings, used, kept[by_information(kept)[0]], segments)
     order = by_information(decays)
-    if all(grows(one) for one in decays):
-        return _driven(series, settings, used, decays[order[0]], segments)
     position, found = _with_target_in(
         (k, combine_decays(assemble(series, settings, used, decays[k]), decays, k)) for k in order
     )
@@ -79,8 +81,9 @@ def modes_of_decays(
         if settings.target_hz is not None or not free:
             return _driven(series, settings, used, main, segments)
         # The target was the strongest motion, a drift or a hum.
-        found = _with_target(found, max(free, key=lambda mode: mode.amplitude), settings)
-        driven = 0.0 if found.target is None else _drive_probability(found.target, main)
+        target = max(free, key=lambda mode: mode.amplitude)
+        found = _with_target(found, target, settings)
+        driven = _drive_probability(replace(target, target=True), main)
         segments = _with_probability(segments, main, driven)
     # A drift or a hum beside the decay stays in the list, with a flag.
     modes = (
@@ -89,11 +92,12 @@ def modes_of_decays(
     )
     found = replace(found, modes=tuple(modes), segments=segments)
     for k in order:
-        if k != position and not grows(decays[k]) and shows_more(decays[k], found):
-            # draws of its own
-            own = settings.model_copy(update={"seed_key": (*settings.seed_key, k)})
-            other = combine_decays(assemble(series, own, used, decays[k]), decays, k)
-            found = with_modes(found, _rather_free(other, decays[k]), decays[k])
+        if k != position and shows_more(decays[k], found):
+            # draws of their own, and the same error of the frame rate
+            other = assemble(series, settings, used, decays[k], _STREAMS * (k + 1))
+            other = combine_decays(other, decays, k)
+            free = [m for m in other.modes if not may_be_driven(_drive_probability(m, decays[k]))]
+            found = with_modes(found, free, decays[k])
     return found
 
 
@@ -101,14 +105,6 @@ def _with_target_in(results: Iterator[tuple[int, Identification]]) -> tuple[int,
     """The first result that has the target; without one, the first."""
     first = next(results)
     return next((one for one in chain((first,), results) if one[1].target is not None), first)
-
-
-def _rather_free(found: Identification, one: FittedDecay) -> Iterator[IdentifiedMode]:
-    """Modes of a decay but those that are rather driven; flagged where they may be."""
-    for mode in found.modes:
-        probability = _drive_probability(mode, one)
-        if not is_rather_driven(probability):
-            yield _doubted(mode) if may_be_driven(probability) else mode
 
 
 def _with_probability(segments: tuple[Segment, ...], main: FittedDecay, driven: float) -> tuple[Segment, ...]:
@@ -183,6 +179,7 @@ def _without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
     return tuple(
         decay
         for decay, one in zip(fitted, values, strict=True)
+        # the odds are 0 beside itself and later ones
         if not any(
             abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
             and held_odds(free, one) > 1.0

@@ -12,7 +12,7 @@ from modal_id.fit import DECAY_TIMES, OWN_BAND, ModalFit, StabilityDiagram, nyqu
 from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes.decays import DECAYS_SD
 from modal_id.modes.numbering import possible_aliases
-from modal_id.posterior import LINE_BINS, LITTLE_DECAY, MUCH_LEFT, SampledMode
+from modal_id.posterior import HARDLY_KNOWN, LINE_BINS, LITTLE_DECAY, MUCH_LEFT, SampledMode
 from modal_id.results import AmplitudeDependence
 from modal_id.sentences import Note
 from modal_id.settings import IdentifySettings
@@ -87,10 +87,11 @@ def severities(
         # Both flags are due to little decay; one of them is enough at the higher severity.
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
     # Of modes of few cycles, and strongest modes that are seen for few, 10 of 106 that are not confirmed are wrong in
-    # 3000 random records; of others, 3 of 212.
+    # 3000 random records; of others, 3 of 212. Of 1500 more, one of 85 others is wrong, one of four hardly known.
     seen_s = min(model.data.span_s, DECAY_TIMES / (2.0 * np.pi * values[0] * values[1]))
     few = index == model.strongest and values[0] * seen_s < TUNING.least_cycles
-    if ModeFlag.NOT_CONFIRMED in found and not (weak or few or ModeFlag.SHORT_RECORD in found):
+    doubtful = weak or few or ModeFlag.SHORT_RECORD in found or sd[0] > HARDLY_KNOWN * values[0]
+    if ModeFlag.NOT_CONFIRMED in found and not doubtful:
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
     if ModeFlag.RESIDUAL_AT_MODE in found and mode.residual_power < TUNING.far_too_much_left:
         found[ModeFlag.RESIDUAL_AT_MODE] = Severity.INTERVAL

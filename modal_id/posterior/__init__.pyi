@@ -5,6 +5,7 @@ from .dependence import LITTLE_DECAY as LITTLE_DECAY
 from .dependence import MUCH_LEFT as MUCH_LEFT
 from .likelihood import TiledLikelihood as TiledLikelihood
 from .likelihood import reduce_mode as reduce_mode
+from .mode_posterior import HARDLY_KNOWN as HARDLY_KNOWN
 from .mode_posterior import SampledMode as SampledMode
 from .mode_posterior import determine_mode as determine_mode
 from .mode_posterior import sample_mode as sample_mode

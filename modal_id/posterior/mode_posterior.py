@@ -48,6 +48,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+HARDLY_KNOWN = TUNING.hardly_known
 
 
 @dataclass(frozen=True)
@@ -100,30 +101,33 @@ class SampledMode:
 
 
 def sample_modes(
-    model: ModalFit, wanted: BoolArray, settings: IdentifySettings
+    model: ModalFit, wanted: BoolArray, settings: IdentifySettings, first_stream: int = 0
 ) -> tuple[SampledMode | FailedMode | None, ...]:
     """Posteriors of the modes that the mask names, None for the others.
 
-    In order of their energy: what depends on its amplitude does not disturb those that follow.
+    In order of their energy: what depends on its amplitude does not disturb those that follow. Their random streams
+    are those from `first_stream` on.
     """
     found: list[SampledMode | FailedMode | None] = [None] * wanted.size
     for index in np.argsort(-model.energy, kind="stable").tolist():
         if wanted[index]:
-            one = found[index] = sample_mode(model, index, settings)
+            one = found[index] = sample_mode(model, index, settings, first_stream + index)
             dependence = one.dependence if isinstance(one, SampledMode) else None
             if dependence is not None and dependence.significant and wanted.size > 1:
                 model = with_constant_pole(model, index)
     return tuple(found)
 
 
-def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
-    """Posterior of the mode with this index."""
+def sample_mode(
+    model: ModalFit, index: int, settings: IdentifySettings, stream: int = 0
+) -> SampledMode | FailedMode:
+    """Posterior of the mode with this index, from the random stream with this number."""
     found = determine_mode(model, index)
     if isinstance(found, FailedMode):
         return found
     sd = np.sqrt(np.diag(found.covariance))
     streams = tuple(
-        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
+        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, stream, ensemble))
         for ensemble in range(settings.sampler.ensembles)
     )
     correlation = float(np.clip(found.covariance[0, 1] / (sd[0] * sd[1]), -0.99, 0.99))
@@ -137,7 +141,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     if undetermined is not None:
         return undetermined
     if found.errors:
-        key = (*settings.seed_key, index, settings.sampler.ensembles)
+        key = (*settings.seed_key, stream, settings.sampler.ensembles)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
         frequencies, zetas = widened(frequencies, zetas, found.systematic, rng)
     posterior = Posterior(
@@ -149,7 +153,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         draws.acceptance,
         found.density.noise.factor,
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
-        (settings.seed, *settings.seed_key, index),
+        (settings.seed, *settings.seed_key, stream),
         extrapolation_damping_ratio=found.extrapolation[2],
         sampled=sampled,
         small_amplitude_shift_hz=found.extrapolation[0],

@@ -51,4 +51,6 @@ def test_a_mode_that_only_a_less_informative_decay_shows_is_listed_with_that_dec
     assert_inside(of_fit, 12.0, 0.004)
     assert_inside(other, 31.0, 0.01)
     assert of_fit.posterior.seed != other.posterior.seed, "draws of their own"
+    clock = [mode.posterior.rate_factors(50.0)[0, :9] for mode in found.modes]
+    np.testing.assert_array_equal(*clock, "the error of the frame rate is common")
     assert other.notes[-1].startswith("Only the decay from 0 s to ")
