@@ -287,6 +287,11 @@ class DecayValue:
     damping_ratio_sd: float
     amplitude: float
 
+    @property
+    def damped_hz(self) -> float:
+        """Frequency of the oscillation, which a hand that damps it hardly changes."""
+        return self.frequency_hz * float(np.sqrt(max(1.0 - self.damping_ratio**2, 0.0)))
+
 
 def axes_or_new(ax: Axes | None) -> Axes:
     """The given axes, or those of a new figure."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -12,6 +12,7 @@ from modal_id.assemble import assemble, assemble_driven
 from modal_id.data import Prepared
 from modal_id.flags import ModeFlag
 from modal_id.modes import (
+    SAME_MOTION,
     FittedDecay,
     by_information,
     combine_decays,
@@ -37,17 +38,6 @@ from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import DisplacementSeries
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """A decay that is held by a hand."""
-
-    #: [1] relative distance of frequencies within which two decays show the same motion
-    #: convention: A hand shifts the frequency, too, by less.
-    same_motion: float = 0.05
-
-
-TUNING = Tuning()
 # Random streams of a decay, more than modes.
 _STREAMS = 1000
 
@@ -181,8 +171,7 @@ def _without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
         for decay, one in zip(fitted, values, strict=True)
         # the odds are 0 beside itself and later ones
         if not any(
-            abs(free.frequency_hz / one.frequency_hz - 1.0) < TUNING.same_motion
-            and held_odds(free, one) > 1.0
+            abs(free.damped_hz - one.damped_hz) < SAME_MOTION * one.damped_hz and held_odds(free, one) > 1.0
             for free in values
         )
     )

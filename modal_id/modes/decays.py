@@ -24,6 +24,9 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Modes of several decays."""
 
+    #: [1] relative distance of the frequencies of oscillations within which two decays show the same motion
+    #: convention: A hand shifts the frequency, too, by less.
+    same_motion: float = 0.05
     #: [1] relative distance of frequencies of two decays within which modes are the same
     same: float = 0.02
     #: [sd] rate over zero below which a motion may not decay
@@ -32,7 +35,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-DECAYS_SD = TUNING.decays_sd
+DECAYS_SD, SAME_MOTION = TUNING.decays_sd, TUNING.same_motion
 # Flags of a mode that one decay alone does not establish.
 _DOUBTS = {ModeFlag.SHORT_RECORD.name, ModeFlag.DAMPING_TOUCHES_ZERO.name}
 
@@ -126,7 +129,7 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
 
 def shows_more(one: FittedDecay, found: Identification) -> bool:
     """Whether the fit of a decay has a motion that is none of the modes found."""
-    return any(_is_new(float(hz), 0.0, found) for hz in frequency_hz(one.model.fit.poles))
+    return any(_is_new(pole.imag / (2.0 * np.pi), 0.0, found) for pole in one.model.fit.poles)
 
 
 def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: FittedDecay) -> Identification:
@@ -145,7 +148,7 @@ def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: Fitt
             notes=(*mode.notes, note),
         )
         for mode in modes
-        if _is_new(mode.frequency_hz, mode.frequency_sd_hz, found)
+        if _is_new(mode.frequency_hz * (1.0 - mode.damping_ratio**2) ** 0.5, mode.frequency_sd_hz, found)
         and not mode.wrong_flags
         and _DOUBTS.isdisjoint(mode.flags)
     )
@@ -156,13 +159,13 @@ def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: Fitt
     return replace(found, modes=tuple(every), failed=tuple(failed)) if new else found
 
 
-def _is_new(hz: float, sd_hz: float, found: Identification) -> bool:
-    """Whether a frequency is that of no mode found."""
-    reach = (
-        max(TUNING.same * mode.frequency_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz))
-        for mode in found.modes
-    )
-    return all(abs(mode.frequency_hz - hz) > r for mode, r in zip(found.modes, reach, strict=True))
+def _is_new(damped_hz: float, sd_hz: float, found: Identification) -> bool:
+    """Whether an oscillation is that of no mode found, held by a hand or not."""
+    for mode in found.modes:
+        own_hz = mode.frequency_hz * max(1.0 - mode.damping_ratio**2, 0.0) ** 0.5
+        if abs(own_hz - damped_hz) < max(SAME_MOTION * own_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz)):
+            return False
+    return True
 
 
 def _values_of(mode: IdentifiedMode, fitted: Sequence[FittedDecay], main: int) -> list[DecayValue | None]:
