@@ -199,7 +199,8 @@ def _identified(
         asked = found.driven and settings.onset_s is None
         after = _after_drive(found, settings, lowest_hz) if asked else None
         return after or with_rate_error(found)
-    why = Refusal.joined(fits.reasons or (Reason.SHORT_PIECES() if parts.decays else parts.why,))
+    without = Reason.SHORT_PIECES() if parts.decays else parts.why
+    why = Refusal.joined(fits.reasons or (without,))
     shown = Note.RECORD_SHOWS(segments="; ".join(map(str, segments))) if segments else ""
     return replace(why, reason=f"{why.reason}. {shown}", where=series.name)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, voigt_profile
 
-from modal_id.data import FitData, rough_variance
+from modal_id.data import BEYOND_SD, FitData, rough_variance
 from modal_id.fit import ModalFit, find_modes
 from modal_id.mode_values import DecayValue
 from modal_id.solve import PoleFit, Problem, damping_ratio, fit_poles, frequency_hz
@@ -164,10 +164,6 @@ def may_be_driven(probability: float) -> bool:
     return probability > 1.0 - TUNING.sure
 
 
-# Standard deviations of a rate beyond which a line decays.
-_DECAY_SD = 3.0
-
-
 def probability_of_drive(
     data: FitData, line_hz: float, lowest_hz: float, prior: float, follows: FitData | None = None
 ) -> float:
@@ -190,7 +186,7 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     """Whether the line at this frequency decays significantly, and free decays leave little beside it."""
     data, fit, index = _line(data, line_hz, lowest_hz)
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
-    decays_ = -float(fit.poles[index].real) > _DECAY_SD * sd
+    decays_ = -float(fit.poles[index].real) > BEYOND_SD * sd
     return fit.converged and decays_ and _left(data, fit) < TUNING.most_left
 
 
@@ -241,7 +237,7 @@ def holds_a_decay(model: ModalFit) -> bool:
     alone &= [model.unresolved_near(index) is None for index in range(alone.size)]
     for index in np.flatnonzero(alone & (strength > TUNING.strong * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
-        if rate * model.data.span_s > TUNING.decayed and rate > _DECAY_SD * sd * _noise_factor(
+        if rate * model.data.span_s > TUNING.decayed and rate > BEYOND_SD * sd * _noise_factor(
             model.data, fit, index
         ):
             return True
