@@ -215,8 +215,9 @@ def _after_drive(
     series, before = found.series, found.segments
     begin_s = max((s.end_s for s in before if s.kind == "driven"), default=float(series.time_s[-1]))
     own = settings.model_copy(update={"onset_s": begin_s})
-    samples = _samples(series, own)
-    if isinstance(samples, Failure):
+    few = np.count_nonzero(series.time_s > begin_s) < MIN_SAMPLES
+    samples = None if few else _samples(series, own)
+    if samples is None or isinstance(samples, Failure):
         return None
     used, usable_from_s = samples
     parts = _parts(series, used, own, usable_from_s, lowest_hz)

@@ -75,7 +75,8 @@ class IdentifiedMode(Table):
     Attributes
     ----------
     shape : complex array, shape (k,)
-        Complex amplitude of each channel at `Onset.fit_from_s`, in the series' unit; NaN for channels not used.
+        Complex amplitude of each channel at `Onset.fit_from_s` or `other_from_s`, in the series' unit; NaN for channels
+        not used.
     shape_sd : array, shape (k,)
         Standard deviation of the real and of the imaginary part of `shape`.
     amplitude : float
@@ -96,9 +97,8 @@ class IdentifiedMode(Table):
         Names of the `tracker.flags.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
-    in_fit : bool
-        Whether `Identification.fitted` contains the mode. Otherwise only another decay shows it: `shape` is that at its
-        start.
+    other_from_s : float or None
+        Where only another decay shows the mode, the start of its fit, at which `shape` is; None for a fitted one.
     decays : tuple of DecayValue
         Where several decays of the record show the mode: the values of each, which frequency and damping ratio combine.
     participation, participation_sd : array, shape (k,), or None
@@ -120,7 +120,7 @@ class IdentifiedMode(Table):
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     severities: tuple[tuple[str, str], ...] = ()
-    in_fit: bool = True
+    other_from_s: float | None = None
     decays: tuple[DecayValue, ...] = ()
     participation: FloatArray | None = None
     participation_sd: FloatArray | None = None
@@ -139,6 +139,11 @@ class IdentifiedMode(Table):
             notes=(*texts, *(flag.value for flag in flags), *others, *words),
             severities=(*self.severities, *((flag.name, flag.usual_severity.name) for flag in flags)),
         )
+
+    @property
+    def in_fit(self) -> bool:
+        """Whether `Identification.fitted` contains the mode."""
+        return self.other_from_s is None
 
     @property
     def wrong_flags(self) -> tuple[str, ...]:

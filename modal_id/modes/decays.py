@@ -144,7 +144,7 @@ def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: Fitt
             mode,
             number=None if mode.number in taken else mode.number,
             target=False,
-            in_fit=False,
+            other_from_s=one.onset.fit_from_s,
             notes=(*mode.notes, note),
         )
         for mode in modes

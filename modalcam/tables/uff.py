@@ -210,12 +210,13 @@ def _shape(found: Identification, mode: IdentifiedMode, index: int) -> dict[str,
     seen = np.flatnonzero(np.isfinite(mode.shape))
     x, y = _in_plane(found.series)
     shape = mode.shape[seen]
+    begin_s = found.onset.fit_from_s if mode.other_from_s is None else mode.other_from_s
     eigenvalue = complex(pole(mode.omega_n_rad_s, mode.damping_ratio))
     return {
         "id1": _text(found.series.name, 80),
         "id2": f"{mode.frequency_hz:.9g} Hz, sd {mode.frequency_sd_hz:.3g} Hz"[:80],
         "id3": f"damping ratio {mode.damping_ratio:.9g}, sd {mode.damping_ratio_sd:.3g}"[:80],
-        "id4": f"amplitudes in {_text(mode.amplitude_unit, 20)} at {found.onset.fit_from_s:.6f} s",
+        "id4": f"amplitudes in {_text(mode.amplitude_unit, 20)} at {begin_s:.6f} s",
         "model_type": _STRUCTURAL,
         "analysis_type": _COMPLEX_MODE,
         "data_ch": _TRANSLATIONS,

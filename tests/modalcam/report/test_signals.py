@@ -52,7 +52,7 @@ def test_the_envelope_is_that_of_eq_1():
 
 def test_a_mode_of_another_decay_is_not_in_the_figures_of_this_one():
     found = identification()
-    other = replace(shown_mode(found), in_fit=False, amplitude=1e3, target=False)
+    other = replace(shown_mode(found), other_from_s=0.5, amplitude=1e3, target=False)
     both = replace(found, modes=(*found.modes, other))
     assert shown_mode(both) is shown_mode(found)
     for one, two in zip(*(measured_envelope(f, shown_mode(f), 1) for f in (found, both)), strict=True):
