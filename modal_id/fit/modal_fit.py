@@ -70,6 +70,13 @@ class ModalFit:
         return self.problem.data
 
     @property
+    def spare(self) -> float:
+        """Number of values that were used less that of parameters."""
+        columns, channels = self.fit.linear.slow.shape
+        poles = self.fit.poles.size
+        return float(np.sum(self.data.counts) - channels * (2 * poles + columns) - 2 * poles)
+
+    @property
     def energy(self) -> FloatArray:
         """Energy of each mode in the record, channels weighted by their noise."""
         linear, poles = self.fit.linear, self.fit.poles

@@ -181,6 +181,10 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     own = own_decay(model, index)
     amplitude_fit = fit_amplitude_dependence(own.problem, own.fit, 0)
     noise = noise_level(model, amplitude_fit, index)
+    if model.spare < 1.0:
+        # a fit through all samples, of which some were rejected, knows no noise
+        return FailedMode.of(Reason.HARDLY_DETERMINED(hz=frequency), frequency)
+    noise = replace(noise, dof=min(noise.dof, model.spare))
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode.of(Reason.FORCED(hz=frequency, zeta=zeta), frequency)
     reach = REACH_SD * noise.factor * float(np.max(model.fit.pole_sd[index]))

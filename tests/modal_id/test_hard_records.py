@@ -108,3 +108,11 @@ def test_a_target_frequency_without_a_mode_names_the_modes_found():
     (reason,) = (mode.reason for mode in found.failed if mode.target)
     assert "470 Hz would appear at 30 Hz" in reason
     assert "more than 940 Hz" in reason
+
+
+def test_a_fit_through_all_samples_that_were_not_rejected_knows_no_noise():
+    """Twelve samples of three modes, two left out as outliers of one: ten parameters, and an sd of 1e-8."""
+    y = [-1738.8203, -1536.0231, 2000.0541, -3467.0755, 1420.5618, 1575.8598]
+    y += [-1407.4769, -28.3817, -252.6503, 1234.3945, -545.235, -1381.3844]
+    found = quick(series_of(np.arange(12) * 1.0682855e-3, np.array(y)))
+    assert [mode.codes for mode in found.failed] == [("HARDLY_DETERMINED",)], found
