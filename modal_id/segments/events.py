@@ -156,6 +156,9 @@ def _event(
             rows = data.inside(spans[0][0], spans[1][1]) & np.any(data.weights > 0.0, axis=1)
             whole = replace(fitted_motion(data.rows(rows), cycle_s, lowest_hz, last=True), variance=variance)
             return click if _click(data, whole, low, high, cycle_s) is not None else None
+    elif before is None and after is not None and _rests(data, after, begin_s, high):
+        # a motion of too few cycles for a side of its own
+        return None
     elif before is None:
         low = begin_s
     elif _click(data, before, low, until_s, cycle_s) is None:
@@ -208,6 +211,13 @@ def _one_motion(
         if one.model is not None and _is_rather_one(one, _bent_rss(one.model), 4, before, after):
             return one
     return None
+
+
+def _rests(data: FitData, after: Motion, begin_s: float, until_s: float) -> bool:
+    """Whether nothing is left of the motion between two times where the next one begins."""
+    spans = ((begin_s, until_s), after.span_s)
+    inside, left = (np.sum(np.var(data.values[data.inside(*span)], axis=0)) for span in spans)
+    return not after.poles.size and bool(inside > TUNING.burst * left)
 
 
 def _separate(poles: ComplexArray, span_s: float) -> int:

@@ -23,6 +23,9 @@ class Tuning:
     followed: float = 6.0
     #: [samples] shortest window
     least_window: int = 32
+    #: [1] number of deflections after which a wave is looked for where there is no line
+    #: convention: Clicks and steps may be larger than the motion.
+    most_peaks: int = 4
     #: [1] logarithm of the ratio of frequencies within which windows show one line
     same_line: float = 0.2
     #: [cycles] shortest window
@@ -98,7 +101,8 @@ def find_tones(
     """
     found = sorted(_lines(data, variance, lowest_hz), key=lambda c: -c.score)
     if not found:
-        return None
+        short = tuple(_short_motion(data, variance, lowest_hz))
+        return Tones(short, short[0]) if short else None
     # A swing of few cycles is a motion of the support, if there is anything faster.
     many = [c.frequency_hz for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
     hz = (
@@ -117,15 +121,26 @@ def find_tones(
 
 
 def _short_motion(data: FitData, variance: FloatArray, lowest_hz: float) -> list[float]:
-    """Frequency of the wave that follows the largest deflection from slow motion: one that decays soon is no line."""
+    """Frequency of the wave that follows the largest deflection from slow motion: one that decays soon is no line.
+
+    Where none follows, as at a click, the next largest ones are tried, up to the larger ones.
+    """
     splines = baseline_splines(data.time_s, FEW_CYCLES / data.span_s)
-    moving = solve_linear(Problem(data, splines), no_columns(data.time_s)).residual
-    peak = int(np.argmax(np.sum(data.weights * moving**2 / variance, axis=1)))
-    after = replace(data, values=moving).from_time(float(data.time_s[peak]))
-    if after.time_s.size < TUNING.least_window:
-        return []
-    found = fit_damped(after, after.values, lowest_hz)
-    return [] if found is None else [float(frequency_hz(found.fit.poles[0]))]
+    moving = replace(data, values=solve_linear(Problem(data, splines), no_columns(data.time_s)).residual)
+    size = np.sum(data.weights * moving.values**2 / variance, axis=1)
+    end = np.full(size.size, size.size)
+    for _ in range(TUNING.most_peaks):
+        peak = int(np.argmax(size))
+        after = moving.rows(slice(peak, int(end[peak])))
+        if size[peak] > 0.0 and after.time_s.size >= TUNING.least_window:
+            after = after.from_time(float(after.time_s[0]))
+            found = fit_damped(after, after.values, lowest_hz)
+            if found is not None:
+                return [float(frequency_hz(found.fit.poles[0]))]
+        near = slice(max(peak - TUNING.least_window, 0), peak + TUNING.least_window)
+        size[near] = 0.0
+        end[: near.start] = np.minimum(end[: near.start], near.start)
+    return []
 
 
 def _lines(data: FitData, variance: FloatArray, lowest_hz: float) -> list[Candidate]:

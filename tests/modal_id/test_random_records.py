@@ -57,6 +57,15 @@ def test_a_random_record_is_not_answered_wrongly(seed):
     assert not wrong_answers(record, found), record
 
 
+# Motion in a tenth of the record before a larger click; two plucks after a rest, over in few cycles each; a mode that
+# only one of four decays shows; one whose oscillation a hand goes on with.
+@pytest.mark.parametrize("seed", [12495, 12524, 11332, 11841])
+def test_a_mode_that_is_plain_to_see_is_found(seed):
+    record, found = answer(seed)
+    assert is_answered(record, found), record
+    assert not wrong_answers(record, found), record
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_random_records_are_not_answered_wrongly_and_rarely_refused():
