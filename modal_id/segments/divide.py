@@ -184,6 +184,9 @@ def divide(
     per_cycle = TUNING.samples_per_cycle * data.step_s
     fine = beam.averaged(max(1, int(1.0 / (per_cycle * max(tones.strongest_hz)))))
     events, others = find_events(fine, tones.strongest_hz, lowest_hz, rest_s)
+    if tones.soon_over:
+        # its first cycles, too few for a motion of their own, are no event
+        events = [e for e in events if e.start_s > 0.0]
     division = _Division(data, beam, fine, variance, base, tones, lowest_hz, events, others, rest_s)
     if begins_free is None:
         return division.parts()

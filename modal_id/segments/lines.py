@@ -81,10 +81,14 @@ _WINDOWS = (1.0, 0.25, 0.0625)
 
 @dataclass(frozen=True)
 class Tones:
-    """Frequencies of the strongest lines, the dominant one first, and of that nearest to the wanted frequency."""
+    """Frequencies of the strongest lines, the dominant one first, and of that nearest to the wanted frequency.
+
+    ``soon_over`` is True where there is no line, but a motion of few cycles.
+    """
 
     strongest_hz: tuple[float, ...]
     wanted_hz: float
+    soon_over: bool = False
 
     @property
     def dominant_hz(self) -> float:
@@ -102,7 +106,7 @@ def find_tones(
     found = sorted(_lines(data, variance, lowest_hz), key=lambda c: -c.score)
     if not found:
         short = tuple(_short_motion(data, variance, lowest_hz))
-        return Tones(short, short[0]) if short else None
+        return Tones(short, short[0], soon_over=True) if short else None
     # A swing of few cycles is a motion of the support, if there is anything faster.
     many = [c.frequency_hz for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
     hz = (
