@@ -170,7 +170,6 @@ class Note(Enum):
     CLICK = "A click; the motion goes on as before."
     EVENT_ENDS_DECAY = "An event ends the decay; give end_s to use what follows."
     STOPPED = "The motion was stopped."
-    STOPPED_OR_TOUCHED = "The motion was stopped or touched."
     STEADY_AT = "Steady motion at {hz:.4g} Hz."
     STEADY_UNTIL_CHANGE = "The motion is steady until it changes."
     DRIVE_CHANGES = "The drive changes."

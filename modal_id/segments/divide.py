@@ -252,25 +252,21 @@ class _Division:
     def parts(self) -> RecordParts:
         """All decays."""
         skip = False
-        steady = False
         for part, following in pairwise([*self.between_events, None]):
             if skip or part is None:
                 skip = False
                 continue
-            steady, skip = self._classify(part, following, after_steady=steady)
+            skip = self._classify(part, following)
         return self._result()
 
-    def _classify(self, part: _Part, following: _Part | None, *, after_steady: bool) -> tuple[bool, bool]:
-        """Whether the part is driven throughout, and whether the following one belongs to its decay."""
+    def _classify(self, part: _Part, following: _Part | None) -> bool:
+        """Add the segments of a part; whether the following one belongs to its decay."""
         event = part.before
         if self._at_rest(part):
             if event is not None:
                 self._add("disturbed", event.start_s, event.end_s, Note.STOPPED())
             self._add("at rest", part.start_s, part.end_s)
-            return False, False
-        if event is not None and event.kind == "fall" and not after_steady:
-            self._add("disturbed", event.start_s, part.end_s, Note.STOPPED_OR_TOUCHED())
-            return False, False
+            return False
         # Markers may be lost before the part ends: only samples that are present can be steady.
         seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= part.end_s)]
         last_s = float(np.max(seen, initial=part.start_s))
@@ -296,13 +292,13 @@ class _Division:
             if onset is not None:
                 self._add("driven", begin_s, onset.time_s, onset.note, onset.confidence)
                 self._decay(onset, end_s)
-                return False, end_s > part.end_s
+                return end_s > part.end_s
         if is_driven_part(probability):
             self._add("driven", part.start_s, part.end_s, Note.STEADY_AT(hz=self.frequency_hz), probability)
         else:
             # What is not known to be driven may tell its damping ratio, with a wide interval.
             self._decay(self._start(part), part.end_s)
-        return driven, False
+        return False
 
     def _start(self, part: _Part) -> Onset:
         if part.before is None:
