@@ -37,7 +37,7 @@ class Tuning:
 TUNING = Tuning()
 DECAYS_SD, SAME_MOTION = TUNING.decays_sd, TUNING.same_motion
 # Flags of a mode that one decay alone does not establish.
-_DOUBTS = {ModeFlag.SHORT_RECORD.name, ModeFlag.DAMPING_TOUCHES_ZERO.name}
+_DOUBTS = {ModeFlag.SHORT_RECORD.name, ModeFlag.DAMPING_TOUCHES_ZERO.name, ModeFlag.NOT_CONFIRMED.name}
 
 
 @dataclass(frozen=True)
