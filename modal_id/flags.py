@@ -22,8 +22,8 @@ class ModeFlag(Enum):
         "it is known to be free."
     )
     MAY_BE_HELD = (
-        "The motion ends within a few cycles of the end of a drive: a hand that stops it looks like strong damping. "
-        "The values are those of the structure only if nothing touched it."
+        "The mode follows a drive after which no decay was recognised: a hand that stops the motion looks like strong "
+        "damping. The values are those of the structure only if nothing touched it."
     )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     ADDED = (

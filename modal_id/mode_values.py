@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -273,6 +274,11 @@ class AmplitudeDependence:
         return float(self.curve.damping_ratio[0]), float(self.curve.damping_ratio_sd[0])
 
 
+def damped_hz(frequency_hz: float, damping_ratio: float) -> float:
+    """Frequency of the oscillation in Hz, which a hand that damps it hardly changes; 0 from critical damping on."""
+    return frequency_hz * math.sqrt(max(1.0 - damping_ratio**2, 0.0))
+
+
 @dataclass(frozen=True)
 class DecayValue:
     """Frequency and damping ratio of a mode in one of several decays of a record, with standard deviations.
@@ -289,8 +295,8 @@ class DecayValue:
 
     @property
     def damped_hz(self) -> float:
-        """Frequency of the oscillation, which a hand that damps it hardly changes."""
-        return self.frequency_hz * float(np.sqrt(max(1.0 - self.damping_ratio**2, 0.0)))
+        """As the function of this name."""
+        return damped_hz(self.frequency_hz, self.damping_ratio)
 
 
 def axes_or_new(ax: Axes | None) -> Axes:

@@ -49,7 +49,7 @@ def modes_of_decays(
     decays: tuple[FittedDecay, ...],
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """Modes of the most informative decay, averaged with the same ones of others.
+    """Modes of the most informative decay, averaged with the same ones of others, and those that only others show.
 
     Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
     """

@@ -186,7 +186,7 @@ class Note(Enum):
     BY_CHANGE = "located to about one cycle by the change from driven motion to a free decay."
     BY_FITS = "located where the fits of the steady vibration and of the free decays ({hz} Hz) join."
     BY_FITS_WITH_BASE = "located where the fits of the steady vibration and of the free decays ({hz} Hz), including the tracked motion of the base, join."
-    AFTER_DRIVE = "Steady motion ends here, and what follows is over within a few cycles."
+    AFTER_DRIVE = "Steady motion ends here; no decay was recognised, and all that follows was fitted as one."
     RELEASE = "The structure is released at {time_s:.4g} s: the decay starts there. The fit begins {settling_s:.3g} s later, when the shortest transients are over."
     PEAK = "The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
     INTERRUPTION = (

@@ -13,7 +13,7 @@ import numpy as np
 from modal_id.data import BEYOND_SD, MIN_SAMPLES, FitData
 from modal_id.fit import EVEN_STEPS
 from modal_id.flags import ModeFlag
-from modal_id.mode_values import Table, axes_or_new
+from modal_id.mode_values import Table, axes_or_new, damped_hz
 from modal_id.results import Identification, IdentifiedMode
 from modal_id.sentences import Note
 from modal_id.solve import Problem, gauss_newton, objective, pole
@@ -118,7 +118,7 @@ class Line:
     @property
     def damped_hz(self) -> float:
         """Damped frequency, which sampling folds; the decay rate stays."""
-        return self.frequency_hz * math.sqrt(1.0 - self.damping_ratio**2)
+        return damped_hz(self.frequency_hz, self.damping_ratio)
 
     def variance_hz2(self, true_hz: FloatArray) -> FloatArray:
         """Of the true frequency, for each that the line may stand for: an error of the rate grows with it."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from modal_id.data import OUTLIER_SD, FitData
 from modal_id.fit import ModalFit
 from modal_id.flags import ModeFlag
+from modal_id.mode_values import damped_hz
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
@@ -148,7 +149,7 @@ def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: Fitt
             notes=(*mode.notes, note),
         )
         for mode in modes
-        if _is_new(mode.frequency_hz * (1.0 - mode.damping_ratio**2) ** 0.5, mode.frequency_sd_hz, found)
+        if _is_new(damped_hz(mode.frequency_hz, mode.damping_ratio), mode.frequency_sd_hz, found)
         and not mode.wrong_flags
         and _DOUBTS.isdisjoint(mode.flags)
     )
@@ -159,11 +160,11 @@ def with_modes(found: Identification, modes: Iterable[IdentifiedMode], one: Fitt
     return replace(found, modes=tuple(every), failed=tuple(failed)) if new else found
 
 
-def _is_new(damped_hz: float, sd_hz: float, found: Identification) -> bool:
+def _is_new(hz: float, sd_hz: float, found: Identification) -> bool:
     """Whether an oscillation is that of no mode found, held by a hand or not."""
     for mode in found.modes:
-        own_hz = mode.frequency_hz * max(1.0 - mode.damping_ratio**2, 0.0) ** 0.5
-        if abs(own_hz - damped_hz) < max(SAME_MOTION * own_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz)):
+        own_hz = damped_hz(mode.frequency_hz, mode.damping_ratio)
+        if abs(own_hz - hz) < max(SAME_MOTION * own_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz)):
             return False
     return True
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data import FitData, baseline_matrix, rough_variance
+from modal_id.data import FitData, baseline_matrix, detrended, rough_variance
 from modal_id.fit import ModalFit
 from modal_id.segments.boundary import TUNING as BOUNDARY
 from modal_id.segments.boundary import Boundary, Motion, fitted_motion, locate_boundary, motion_beside
@@ -215,8 +215,8 @@ def _one_motion(
 
 def _rests(data: FitData, after: Motion, begin_s: float, until_s: float) -> bool:
     """Whether nothing is left of the motion between two times where the next one begins."""
-    spans = ((begin_s, until_s), after.span_s)
-    inside, left = (np.sum(np.var(data.values[data.inside(*span)], axis=0)) for span in spans)
+    parts = (data.rows(data.inside(*span)) for span in ((begin_s, until_s), after.span_s))
+    inside, left = (np.sum(np.sum(detrended(p) ** 2, axis=0) / np.maximum(p.counts, 1.0)) for p in parts)
     return not after.poles.size and bool(inside > TUNING.burst * left)
 
 

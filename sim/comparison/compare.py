@@ -174,7 +174,7 @@ def obstacle(properties: BeamProperties, identification: Identification, count: 
             f"markers are at {series.positions_mm.tolist()} mm, but the beam reaches from 0 to "
             f"{1e3 * properties.length_m:g} mm: check markers.positions_mm and beam.length_mm"
         )
-    if not identification.modes or not np.any(identification.used):
+    if not identification.fitted_modes or not np.any(identification.used):
         return "no mode was identified"
     if identification.target is None and any(mode.target for mode in identification.failed):
         return "the target mode of the recording was not identified"

@@ -88,7 +88,7 @@ def _draw_stability(figure: Figure, shown: Target) -> bool:
 
 
 def _mark_modes(axes: Axes, found: Identification) -> None:
-    for k, mode in enumerate(found.modes):
+    for k, mode in enumerate(found.fitted_modes):
         label = "_" if k else "identified modes"
         axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
 
