@@ -5,9 +5,6 @@ from .columns import IDENTITY as IDENTITY
 from .columns import MODE_COLUMNS as MODE_COLUMNS
 from .columns import SMALL_DAMPING as SMALL_DAMPING
 from .columns import SMALL_FREQUENCY as SMALL_FREQUENCY
-from .flags import QUOTED as QUOTED
-from .flags import ModeFlag as ModeFlag
-from .flags import quoted_note as quoted_note
 from .identify import fit_free_decay as fit_free_decay
 from .identify import identify as identify
 from .identify import identify_free_decay as identify_free_decay
@@ -30,9 +27,12 @@ from .results import FittedMode as FittedMode
 from .results import Identification as Identification
 from .results import IdentifiedMode as IdentifiedMode
 from .results import Posterior as Posterior
+from .sentences import QUOTED as QUOTED
+from .sentences import ModeFlag as ModeFlag
 from .sentences import Note as Note
 from .sentences import Reason as Reason
 from .sentences import Refusal as Refusal
+from .sentences import quoted_note as quoted_note
 from .settings import IdentifyOptions as IdentifyOptions
 from .settings import IdentifySettings as IdentifySettings
 from .settings import SamplerSettings as SamplerSettings

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from modal_id.data import FitData, Prepared, are_many, listed, outlier_share
 from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
-from modal_id.flags import ModeFlag, alias_note
 from modal_id.modes import (
     Conversion,
     FittedDecay,
@@ -34,7 +33,7 @@ from modal_id.modes import (
 from modal_id.pieces import mean_scatter_rad_s
 from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_modes
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
-from modal_id.sentences import Note, Reason
+from modal_id.sentences import ModeFlag, Note, Reason, alias_note
 from modal_id.settings import IdentifySettings
 from modal_id.solve import LinearSolution, ModeColumns, Problem, frequency_hz, motion, solve_linear
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray

@@ -19,7 +19,6 @@ from modal_id.data import (
     with_base,
 )
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
-from modal_id.flags import ModeFlag
 from modal_id.pieces import DecayFits, fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
@@ -35,7 +34,7 @@ from modal_id.segments import (
     user_onset,
     whole_record,
 )
-from modal_id.sentences import Note, Reason, Refusal
+from modal_id.sentences import ModeFlag, Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import DisplacementSeries, Failure

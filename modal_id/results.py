@@ -11,7 +11,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from modal_id.columns import FLAGS, IDENTITY, MODE_COLUMNS, OF_MODE, OF_RECORD
-from modal_id.flags import ModeFlag
 
 # Values of a mode and parts of the record are results too; packages that use results import them from here.
 from modal_id.mode_values import AmplitudeCurve as AmplitudeCurve  # noqa: PLC0414 - re-exported
@@ -21,7 +20,7 @@ from modal_id.mode_values import FrequencyResponse, Table, axes_or_new
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.record import FittingRate, Onset, Segment
-from modal_id.sentences import Refusal
+from modal_id.sentences import ModeFlag, Refusal
 from tracker import (
     INTERVAL_LEVEL,
     BoolArray,
@@ -92,7 +91,7 @@ class IdentifiedMode(Table):
     mac : float
         Modal assurance criterion with the theoretical shape; NaN where no theory was given.
     flags : tuple of str
-        Names from `modal_id.flags`.
+        Names from `modal_id.sentences`.
     severities : tuple of (flag, severity)
         Names of the `tracker.flags.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str

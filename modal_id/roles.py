@@ -10,7 +10,6 @@ import numpy as np
 
 from modal_id.assemble import assemble, assemble_driven
 from modal_id.data import Prepared
-from modal_id.flags import ModeFlag
 from modal_id.modes import (
     SAME_MOTION,
     FittedDecay,
@@ -33,7 +32,7 @@ from modal_id.segments import (
     may_be_driven,
     no_onset,
 )
-from modal_id.sentences import Note, Reason
+from modal_id.sentences import ModeFlag, Note, Reason
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import DisplacementSeries

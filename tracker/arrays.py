@@ -23,7 +23,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 # masks
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-# quality flags, one bit per entry of a registry (`tracker.flags`, `modal_id.flags`)
+# quality flags, one bit per entry of a registry (`tracker.flags`, `modal_id.sentences`)
 FlagArray: TypeAlias = NDArray[np.uint32]
 
 # one decoded frame, shape (height, width), rows from the top

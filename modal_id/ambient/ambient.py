@@ -13,13 +13,12 @@ from modal_id.ambient.order import WIDTHS, Order, choose_order, shares
 from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
 from modal_id.fit import SAME_LINE, nyquist_hz, stability_diagram
-from modal_id.flags import ModeFlag
 from modal_id.modes import CLEAR_SD, CLOSE, numbered
 from modal_id.posterior import with_rate_error
 from modal_id.record import Onset, Segment
 from modal_id.response import DRAWS, MOST_FREQUENCIES
 from modal_id.results import AmbientBand, AmbientRecord, FailedMode, Identification, IdentifiedMode, Posterior
-from modal_id.sentences import Note, Reason, Refusal
+from modal_id.sentences import ModeFlag, Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
 

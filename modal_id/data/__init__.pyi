@@ -9,12 +9,12 @@ from .prepare import last_saturated_row as last_saturated_row
 from .prepare import listed as listed
 from .prepare import longest_at_one_rate as longest_at_one_rate
 from .prepare import longest_without_pause as longest_without_pause
+from .prepare import of_rows as of_rows
 from .prepare import prepare as prepare
+from .prepare import repeated_rows as repeated_rows
+from .prepare import sampled_rows as sampled_rows
 from .prepare import with_base as with_base
 from .projection import project as project
-from .repeats import of_rows as of_rows
-from .repeats import repeated_rows as repeated_rows
-from .repeats import sampled_rows as sampled_rows
 from .samples import BEYOND_SD as BEYOND_SD
 from .samples import MIN_SAMPLES as MIN_SAMPLES
 from .samples import OUTLIER_SD as OUTLIER_SD

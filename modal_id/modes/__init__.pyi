@@ -29,14 +29,14 @@ from .decays import grows as grows
 from .decays import shows_more as shows_more
 from .decays import with_modes as with_modes
 from .flag_rules import CLOSE as CLOSE
+from .flag_rules import combination_tones as combination_tones
 from .flag_rules import mode_flags as mode_flags
+from .flag_rules import not_established as not_established
 from .flag_rules import severities as severities
+from .flag_rules import within_errors as within_errors
 from .frame_clock import Clock as Clock
 from .frame_clock import DecayRecord as DecayRecord
 from .frame_clock import Kind as Kind
-from .no_modes import combination_tones as combination_tones
-from .no_modes import not_established as not_established
-from .no_modes import within_errors as within_errors
 from .numbering import Numbering as Numbering
 from .numbering import TargetChoice as TargetChoice
 from .numbering import choose_target as choose_target

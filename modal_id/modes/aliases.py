@@ -12,10 +12,9 @@ import numpy as np
 
 from modal_id.data import BEYOND_SD, MIN_SAMPLES, FitData
 from modal_id.fit import EVEN_STEPS
-from modal_id.flags import ModeFlag
 from modal_id.mode_values import Table, axes_or_new, damped_hz
 from modal_id.results import Identification, IdentifiedMode
-from modal_id.sentences import Note
+from modal_id.sentences import ModeFlag, Note
 from modal_id.solve import Problem, gauss_newton, objective, pole
 from tracker import BoolArray, Column, FloatArray, checked, data_frame
 

@@ -16,10 +16,9 @@ import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.fit import LEAST_WINDOW
-from modal_id.flags import CHECKS
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Check, Identification, IdentifiedMode
-from modal_id.sentences import Note
+from modal_id.sentences import CHECKS, Note
 from modal_id.solve import Beside, ModeColumns, Problem, TimesTime, motion, pole, solve_linear, without_fit
 from tracker import BoolArray, ComplexArray, FloatArray
 

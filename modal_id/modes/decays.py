@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from modal_id.data import OUTLIER_SD, FitData
 from modal_id.fit import ModalFit
-from modal_id.flags import ModeFlag
 from modal_id.mode_values import damped_hz
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset, Segment
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
-from modal_id.sentences import Note
+from modal_id.sentences import ModeFlag, Note
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
 

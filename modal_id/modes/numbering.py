@@ -8,12 +8,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modal_id.fit import SAME_LINE
-from modal_id.flags import ModeFlag
 from modal_id.modes.aliases import apparent_hz
 from modal_id.modes.shapes import mac
 from modal_id.record import FittingRate
 from modal_id.results import FailedMode, IdentifiedMode
-from modal_id.sentences import Note, Reason, Refusal, in_hz
+from modal_id.sentences import ModeFlag, Note, Reason, Refusal, in_hz
 from modal_id.settings import IdentifySettings
 from tracker import BoolArray, ComplexArray, FloatArray
 

@@ -3,8 +3,6 @@ from .cramer_rao import modal_bound as modal_bound
 from .dependence import LINE_BINS as LINE_BINS
 from .dependence import LITTLE_DECAY as LITTLE_DECAY
 from .dependence import MUCH_LEFT as MUCH_LEFT
-from .likelihood import TiledLikelihood as TiledLikelihood
-from .likelihood import reduce_mode as reduce_mode
 from .mode_posterior import HARDLY_KNOWN as HARDLY_KNOWN
 from .mode_posterior import SampledMode as SampledMode
 from .mode_posterior import determine_mode as determine_mode
@@ -14,6 +12,8 @@ from .mode_posterior import widened as widened
 from .mode_posterior import with_rate_error as with_rate_error
 from .noise import channel_noise_level as channel_noise_level
 from .noise import noise_level as noise_level
+from .sampler import TiledLikelihood as TiledLikelihood
 from .sampler import autocorrelation_times as autocorrelation_times
 from .sampler import polar_proposal as polar_proposal
+from .sampler import reduce_mode as reduce_mode
 from .sampler import sample as sample

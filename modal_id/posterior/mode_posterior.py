@@ -19,9 +19,8 @@ from modal_id.posterior.dependence import (
     hidden_slope_sd,
     left_at_mode,
 )
-from modal_id.posterior.likelihood import REACH_SD, PoleDensity, reduce_mode
 from modal_id.posterior.noise import noise_level
-from modal_id.posterior.sampler import SamplingError, sample
+from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, reduce_mode, sample
 from modal_id.results import (
     AmplitudeDependence,
     DrivenMotion,

@@ -47,7 +47,7 @@ def chi_square_of(
 ) -> FloatArray:
     """Residual sum of squares over the noise variance for each change, shape (w,); NaN where it is undefined.
 
-    The arrays are those of `modal_id.posterior.likelihood.ReducedLikelihood`.
+    The arrays are those of `modal_id.posterior.sampler.ReducedLikelihood`.
     """
     terms, k, v = data.shape
     groups = square.shape[1]
@@ -355,7 +355,7 @@ class Reduction:
 
 
 def reduction(problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp]) -> Reduction:
-    """Reduction for the pole with index `mode`; `close` as in `modal_id.posterior.likelihood.reduce_mode`."""
+    """Reduction for the pole with index `mode`; `close` as in `modal_id.posterior.sampler.reduce_mode`."""
     # Baseline and other modes are subtracted first: large offsets would cost digits in the projection.
     values = own_problem(problem, fit, np.array([mode])).data.values
     columns = Columns(problem, fit, mode, close)

@@ -5,7 +5,7 @@ from .identify_response import DRAWS as DRAWS
 from .identify_response import identify_response as identify_response
 from .known_input import PROMISING as PROMISING
 from .known_input import fit_response as fit_response
-from .other_clock import at_other_times as at_other_times
+from .lag import at_other_times as at_other_times
 from .solution import MOST_FREQUENCIES as MOST_FREQUENCIES
 from .solution import ResponseFit as ResponseFit
 from .solution import local_polynomial as local_polynomial

@@ -9,17 +9,14 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from modal_id.data import MIN_SAMPLES, Prepared, prepare
-from modal_id.flags import ModeFlag
 from modal_id.mode_values import FrequencyResponse
 from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
-from modal_id.response.candidates import candidates
 from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
-from modal_id.response.known_input import criterion, fit_response
-from modal_id.response.lag import better_lag, fit_with_lag
+from modal_id.response.known_input import candidates, criterion, fit_response
+from modal_id.response.lag import HIGHEST, better_lag, fit_with_lag
 from modal_id.response.noise import InputNoise
-from modal_id.response.other_clock import HIGHEST
 from modal_id.response.solution import (
     MOST_FREQUENCIES,
     ResponseFit,
@@ -29,7 +26,7 @@ from modal_id.response.solution import (
     model_bands,
 )
 from modal_id.results import FailedMode, Identification, IdentifiedMode, Posterior
-from modal_id.sentences import Note, Reason, Refusal, in_hz
+from modal_id.sentences import ModeFlag, Note, Reason, Refusal, in_hz
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz, modal_slopes
 from tracker import DisplacementSeries, Failure, FloatArray, KnownInput

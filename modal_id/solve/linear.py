@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from modal_id.data import FitData, neighbour_sums
-from modal_id.solve.cholesky import BandedFactor, cholesky, solve
 from modal_id.solve.weighting import (
     BLOCK_ROWS,
+    BandedFactor,
     LongArray,
     SparseColumns,
     Weighting,
+    cholesky,
     scaled_rows,
+    solve,
     some_rows,
     weighting,
 )

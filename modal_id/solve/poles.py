@@ -1,23 +1,174 @@
 """Poles of decaying modes: their frequency and damping ratio (Eq. 1), and their fit by variable projection (Eq. 2).
 
 Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation": a mode moves as ``Re(c exp(lambda t))`` with
-``lambda = -zeta w_n + i w_n sqrt(1 - zeta^2)``. The poles lambda are shared by all channels.
+``lambda = -zeta w_n + i w_n sqrt(1 - zeta^2)``. The poles lambda are shared by all channels. Columns are made
+for the rows that are needed: held for every sample, those of a few modes are most of the memory of an identification.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data import FitData
-from modal_id.solve.cholesky import pseudo_inverse
+from modal_id.data import FEW_VALUES, FitData
 from modal_id.solve.linear import LinearSolution, Problem, projected_grams, solve_linear
-from modal_id.solve.maximum import MAX_ITERATIONS, shortened
-from modal_id.solve.waves import ModeColumns, TimesTime, motion
-from modal_id.solve.weighting import LongArray
+from modal_id.solve.weighting import BLOCK_ROWS, LongArray, pseudo_inverse
 from tracker import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Even times, steps and convergence."""
+
+    #: [rad] error of phase up to which times count as even
+    #: physics: Far below the noise of a sample.
+    even: float = 1e-9
+
+    #: [sd] step that is negligible in a result
+    #: statistics: Far below the sd that is printed.
+    step_tolerance: float = 2e-3
+    #: [sd] step that is negligible where a fit is refined later
+    rough_tolerance: float = 0.05
+
+    #: [1] largest number of iterations
+    max_iterations: int = 40
+    #: [1] largest number of times that a step is shortened
+    shortened: int = 10
+    #: [1] factor by which a step is shortened
+    shorter: float = 0.4
+    #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
+    #: statistics: A step of a thirtieth of a standard deviation.
+    converged: float = 1e-3
+    #: [1] the same where rounding or a quadrature lets no step succeed
+    #: statistics: A step of a fifth of a standard deviation.
+    converged_to_rounding: float = 0.05
+    #: [1] condition number above which the record does not determine the parameters
+    #: physics: Rounding of 1e-16 leaves three digits.
+    max_condition: float = 1e13
+
+
+TUNING = Tuning()
+MAX_ITERATIONS, MAX_CONDITION = TUNING.max_iterations, TUNING.max_condition
+
+# Samples of a block whose times are multiples of the step.
+_BLOCK = 512
+
+Rows = slice | NDArray[np.intp]
+
+
+def real_columns(functions: ComplexArray) -> FloatArray:
+    """Real and imaginary part of each function as neighbouring columns, shape (n, 2 m); not a copy where possible."""
+    return np.ascontiguousarray(functions).view(np.float64)
+
+
+def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
+    """``exp(lambda t)``, shape (n, m)."""
+    return ModeColumns(time_s, poles).functions(slice(None))
+
+
+@dataclass(frozen=True)
+class ModeColumns:
+    """Real and imaginary parts of ``exp(lambda t)`` of some poles as neighbouring columns, shape (n, 2 m)."""
+
+    time_s: FloatArray
+    poles: ComplexArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of all columns."""
+        return self.time_s.size, 2 * self.poles.size
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Some rows of the columns."""
+        few = self.time_s.size * self.poles.size <= FEW_VALUES
+        return real_columns(self._all[rows] if few else self.functions(rows))
+
+    def functions(self, rows: Rows) -> ComplexArray:
+        """Some rows of ``exp(lambda t)``, shape (rows, m)."""
+        if not self._is_even:
+            return np.asarray(np.exp(self.time_s[rows, None] * self.poles))
+        # Even times: the blocks are multiples of the first one.
+        starts, within = self._blocks
+        if not isinstance(rows, slice):
+            return np.asarray(starts[rows // _BLOCK] * within[rows % _BLOCK])
+        first, last, _ = rows.indices(self.time_s.size)
+        block = first // _BLOCK
+        whole = starts[block : -(-last // _BLOCK), None, :] * within
+        return whole.reshape(-1, self.poles.size)[first - block * _BLOCK : last - block * _BLOCK]
+
+    @cached_property
+    def _all(self) -> ComplexArray:
+        """All functions, where they are few enough to be held."""
+        return self.functions(slice(None))
+
+    @cached_property
+    def _is_even(self) -> bool:
+        time_s = self.time_s
+        if time_s.size < 4 * _BLOCK or self.poles.size == 0:
+            return False
+        within, largest = time_s[:_BLOCK] - time_s[0], 0.0
+        for first in range(0, time_s.size, _BLOCK):
+            own = time_s[first : first + _BLOCK]
+            largest = max(largest, float(np.max(np.abs(own[0] + within[: own.size] - own))))
+        return largest * float(np.max(np.abs(self.poles))) <= TUNING.even
+
+    @cached_property
+    def _blocks(self) -> tuple[ComplexArray, ComplexArray]:
+        """Functions of the time from the first sample to each block's, and of those of the first block."""
+        starts = self.time_s[::_BLOCK] - self.time_s[0]
+        return np.exp(starts[:, None] * self.poles), np.exp(self.time_s[:_BLOCK, None] * self.poles)
+
+
+def motion(time_s: FloatArray, poles: ComplexArray, amplitudes: ComplexArray) -> FloatArray:
+    """Real part of modes with these amplitudes, shape (m, k), in each channel; shape (n, k)."""
+    columns, total = ModeColumns(time_s, poles), np.empty((time_s.size, amplitudes.shape[1]))
+    for first in range(0, time_s.size, BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        total[rows] = np.real(columns.functions(rows) @ amplitudes)
+    return total
+
+
+def no_columns(time_s: FloatArray) -> ModeColumns:
+    """Columns of no mode, shape (n, 0)."""
+    return ModeColumns(time_s, np.empty(0, dtype=complex))
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Columns of several arrays beside each other."""
+
+    parts: tuple[LongArray, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of all columns."""
+        return self.parts[0].shape[0], sum(part.shape[1] for part in self.parts)
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Some rows of the columns."""
+        return np.concatenate([part[rows] for part in self.parts], axis=1)
+
+
+@dataclass(frozen=True)
+class TimesTime:
+    """Columns times time: the slopes of decays."""
+
+    time_s: FloatArray
+    columns: LongArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the columns."""
+        return self.columns.shape
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Some rows of the columns."""
+        return np.asarray(self.time_s[rows, None] * self.columns[rows])
 
 
 def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:
@@ -53,18 +204,6 @@ def normal_equations(
     return information, gradient
 
 
-@dataclass(frozen=True)
-class Tuning:
-    """Convergence of the poles."""
-
-    #: [sd] step that is negligible in a result
-    #: statistics: Far below the sd that is printed.
-    step_tolerance: float = 2e-3
-    #: [sd] step that is negligible where a fit is refined later
-    rough_tolerance: float = 0.05
-
-
-TUNING = Tuning()
 _STEP_TOLERANCE = TUNING.step_tolerance
 
 # Largest logarithm of the growth over the record: products of four such waves do not overflow.
@@ -238,3 +377,55 @@ def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, 
     twice = np.repeat(np.arange(m), 2)
     weights = slope_weights(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
     return TimesTime(time_s, linear.columns), weights
+
+
+T = TypeVar("T")
+Step = TypeVar("Step", FloatArray, ComplexArray)
+
+
+def maximum(
+    start: T | None,
+    equations: Callable[[T], tuple[FloatArray, FloatArray]],
+    moved: Callable[[T, FloatArray], T | None],
+) -> tuple[T, FloatArray] | None:
+    """The maximum and the covariance there; None where it is not reached or the parameters are not determined.
+
+    Parameters
+    ----------
+    start : T or None
+    equations : callable
+        Information, shape (q, q), and gradient, shape (q,), of the log likelihood.
+    moved : callable
+        A better point in the direction of a step, as from `shortened`, or None.
+    """
+    now = start
+    for _ in range(MAX_ITERATIONS):
+        if now is None:
+            return None
+        information, gradient = equations(now)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scaled = information * np.outer(scale, scale)
+        if not np.all(np.isfinite(scaled)):
+            return None
+        values, vectors = np.linalg.eigh(scaled)
+        if values[0] <= values[-1] / MAX_CONDITION:
+            return None
+        vectors *= scale[:, None]
+        covariance = np.asarray((vectors / values) @ vectors.T)
+        step = covariance @ gradient
+        gain = float(gradient @ step)
+        better = None if gain < TUNING.converged else moved(now, step)
+        if better is None:
+            return (now, covariance) if gain <= TUNING.converged_to_rounding else None
+        now = better
+    return None
+
+
+def shortened(step: Step, trial: Callable[[Step], T | None]) -> T | None:
+    """What `trial` returns for the longest of ever shorter steps that succeeds; None where none does."""
+    for _ in range(TUNING.shortened):
+        found = trial(step)
+        if found is not None:
+            return found
+        step = TUNING.shorter * step
+    return None

@@ -82,7 +82,7 @@ SIMULATION = Group(
 DECAYS = Group(
     "modal_id.compile:compile_for_decays",
     (
-        "modal_id.solve.cholesky:_add_normal",
+        "modal_id.solve.weighting:_add_normal",
         "modal_id.solve.linear:_subtract",
         "modal_id.data.baseline:_cubic",
         "modal_id.fit.amplitude_dependence:_decay",
