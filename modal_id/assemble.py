@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from modal_id.data import FitData, Prepared, are_many, listed, outlier_share
 from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
+from modal_id.fit_decays import mean_scatter_rad_s
 from modal_id.modes import (
     Conversion,
     FittedDecay,
@@ -30,7 +31,6 @@ from modal_id.modes import (
     shape_disagreement,
     within_errors,
 )
-from modal_id.pieces import mean_scatter_rad_s
 from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_modes
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.sentences import ModeFlag, Note, Reason, alias_note

@@ -19,7 +19,7 @@ from modal_id.data import (
     with_base,
 )
 from modal_id.fit import ModalFit, fit_amplitude_dependence, own_decay
-from modal_id.pieces import DecayFits, fit_decays
+from modal_id.fit_decays import DecayFits, fit_decays
 from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.response import identify_response

@@ -95,6 +95,8 @@ class Posterior(Table):
         "amplitude" (frequency and damping depend on it), "close mode" (the mode may be two), "little decay" (the record
         shows few amplitudes), "unexplained" (motion that the fit leaves at the mode), "positions" (errors that return
         with the motion), "decays" (scatter between those of the record).
+    mean : tuple of (float, float), or None
+        Value and standard deviation of frequency (Hz) and damping ratio over several decays, which the draws have.
     rate_sd_ppm : float
         Relative standard deviation of the frame rate in parts per million, which the draws of the frequency include:
         one factor in each draw, the same for all modes of a recording.
@@ -110,6 +112,11 @@ class Posterior(Table):
         Most probable limit of the frequency at zero amplitude less the frequency, where no dependence is significant.
     sampled : SampledDraws or None
         The draws before they were widened, those of the most informative decay of a record of several.
+
+    Notes
+    -----
+    `frequency_hz` and `damping_ratio` follow from `sampled`, `errors`, `mean` and `rate_sd_ppm`, in this order;
+    `including` derives them. Without `sampled`, a normal density includes all errors but that of the rate.
     """
 
     frequency_hz: FloatArray
@@ -127,6 +134,33 @@ class Posterior(Table):
     small_amplitude_shift_hz: float = 0.0
     extrapolation_frequency_hz: float = 0.0
     errors: Errors = field(default_factory=dict)
+    mean: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    def including(
+        self,
+        *,
+        errors: Errors | None = None,
+        mean: tuple[tuple[float, float], tuple[float, float]] | None = None,
+        rate_sd_ppm: float | None = None,
+    ) -> Posterior:
+        """The posterior with draws for other `errors`, `mean` or error of the rate than its own; None keeps these."""
+        errors, mean = (self.errors if errors is None else errors), mean or self.mean
+        ppm = self.rate_sd_ppm if rate_sd_ppm is None else rate_sd_ppm
+        frequency_hz, zeta = self.frequency_in_record_hz, self.damping_ratio
+        if self.sampled is not None:
+            frequency_hz, zeta = self.sampled.frequency_hz, self.sampled.damping_ratio
+            extra_sd = total_error({cause: sd for cause, sd in errors.items() if cause != "decays"})
+            if max(extra_sd) > 0.0:
+                key = (*self.seed[1:], frequency_hz.shape[0])
+                rng = np.random.default_rng(np.random.SeedSequence(self.seed[0], spawn_key=key))
+                frequency_hz, zeta = _widened(frequency_hz, zeta, extra_sd, rng)
+            if mean is not None:
+                # Reflected at zero: damping ratios stay positive.
+                frequency_hz, zeta = _moved(frequency_hz, *mean[0]), np.abs(_moved(zeta, *mean[1]))
+        one = replace(
+            self, frequency_hz=frequency_hz, damping_ratio=zeta, errors=errors, mean=mean, rate_sd_ppm=ppm
+        )
+        return replace(one, frequency_hz=frequency_hz * one.rate_factors(ppm))
 
     @property
     def systematic(self) -> tuple[float, float]:
@@ -174,6 +208,30 @@ class Posterior(Table):
         if np.isnan(self.acceptance):
             quality = "of a normal density"
         return f"Posterior: {ensembles} ensembles of {draws} draws, {quality}"
+
+
+def _widened(
+    frequencies_hz: FloatArray,
+    zetas: FloatArray,
+    extra_sd: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Draws of frequency and damping ratio plus a normal error of standard deviations `extra_sd`, in any shape.
+
+    The medians do not change. Damping ratios stay positive: a sum below half of the draw is mapped by an exponential
+    that joins smoothly. A reflection at zero would raise the median.
+    """
+    # Normal scores in random order: the sum of the errors is zero.
+    scores = ndtri((np.arange(zetas.size) + 0.5) / zetas.size)
+    wide_hz = frequencies_hz + extra_sd[0] * rng.permutation(scores).reshape(zetas.shape)
+    wide = zetas + extra_sd[1] * rng.permutation(scores).reshape(zetas.shape)
+    half = 0.5 * zetas
+    return wide_hz, np.where(wide < half, half * np.exp(np.minimum(wide / half, 1.0) - 1.0), wide)
+
+
+def _moved(draws: FloatArray, value: float, sd: float) -> FloatArray:
+    """The draws shifted and scaled to a value and standard deviation."""
+    return np.asarray(value + sd / max(float(np.std(draws)), 1e-300) * (draws - np.median(draws)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,7 +171,6 @@ class Note(Enum):
     EVENT_ENDS_DECAY = "An event ends the decay; give end_s to use what follows."
     STOPPED = "The motion was stopped."
     STEADY_AT = "Steady motion at {hz:.4g} Hz."
-    STEADY_UNTIL_CHANGE = "The motion is steady until it changes."
     DRIVE_CHANGES = "The drive changes."
     HELD_UNTIL_RELEASE = "Held until the release."
     CHANGES_AROUND = "The motion changes before and after."

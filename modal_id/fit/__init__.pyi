@@ -7,6 +7,7 @@ from .amplitude_dependence import with_constant_pole as with_constant_pole
 from .damped import LEAST_SAMPLES as LEAST_SAMPLES
 from .damped import MAX_DAMPING as MAX_DAMPING
 from .damped import fit_damped as fit_damped
+from .misfit import misfit as misfit
 from .modal_fit import OWN_BAND as OWN_BAND
 from .modal_fit import ModalFit as ModalFit
 from .modal_fit import own_decay as own_decay

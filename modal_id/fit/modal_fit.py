@@ -76,6 +76,15 @@ class ModalFit:
         poles = self.fit.poles.size
         return float(np.sum(self.data.counts) - channels * (2 * poles + columns) - 2 * poles)
 
+    def spare_energy(self, index: int) -> float:
+        """Share of the energy of the mode with this index outside as many values, the largest, as it has parameters."""
+        linear, pole = self.fit.linear, self.fit.poles[index]
+        power = np.abs(linear.amplitudes[index]) ** 2 / linear.noise_variance * self.data.weights
+        power = (np.exp(2.0 * pole.real * self.data.time_s)[:, None] * power).ravel()
+        others = max(power.size - 2 - 2 * linear.noise_variance.size, 0)
+        left = np.sum(np.partition(power, others)[:others]) if others else 0.0
+        return float(left / max(float(np.sum(power)), 1e-300))
+
     @property
     def energy(self) -> FloatArray:
         """Energy of each mode in the record, channels weighted by their noise."""

@@ -322,18 +322,12 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
 
 
 def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
-    """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs.
-
-    Modes that move give way to a line that explains more alone: of a clipped wave, overtones may have come first.
-    """
+    """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs."""
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
     moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > OWN_BAND
     if np.any(moved):
-        joint = refit(model, np.concatenate([fit.poles[~moved], line]), model.data, search=True)
-        gain = np.sum((fit.linear.rss - joint.fit.linear.rss) / fit.linear.noise_variance)
-        if not (joint.fit.converged and gain > 0.0):
-            return None
+        return None
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     return None if strength[-1] < TUNING.relative_floor * np.max(strength) else joint
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from modal_id.data import OUTLIER_SD, FitData
 from modal_id.fit import ModalFit
 from modal_id.mode_values import damped_hz
-from modal_id.modes.combine import Combined, combine
+from modal_id.modes.combine import combine
 from modal_id.posterior import determine_mode, noise_level
-from modal_id.record import Onset, Segment
+from modal_id.record import Onset
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
 from modal_id.sentences import ModeFlag, Note
 from modal_id.solve import damping_ratio, frequency_hz
@@ -53,15 +53,13 @@ class FittedDecay:
     rows : array of int
         Rows of the series that the fit covers.
     left_out : int
-        How many of them were left out as repeated, disturbed or clicks.
+        How many of them were left out as repeated or disturbed.
     data : FitData
         Their samples, of all usable channels; times from ``onset.fit_from_s``.
     model : ModalFit
         Fit of the channels that move.
     moving : bool array
         Mask of these among the usable channels.
-    clicks : tuple of Segment
-        Left out because the fit shows them, in the time of the series.
     to_channels : array, shape (k, moving), or None
         Values of the channels for unit values of those that move, where these are components.
     """
@@ -73,7 +71,6 @@ class FittedDecay:
     data: FitData
     model: ModalFit
     moving: BoolArray
-    clicks: tuple[Segment, ...] = ()
     to_channels: FloatArray | None = None
 
     @property
@@ -209,21 +206,10 @@ def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedM
     zeta = combine([v.damping_ratio for v in values], [v.damping_ratio_sd for v in values])
     # What changes with the amplitude changes in every decay: more of them do not average it out.
     least_hz, least = mode.posterior.systematic
-    frequency = replace(frequency, sd=max(frequency.sd, least_hz))
-    zeta = replace(zeta, sd=max(zeta.sd, least))
     between = frequency.between_sd, zeta.between_sd
-    posterior = replace(
-        mode.posterior,
-        frequency_hz=_moved(mode.posterior.frequency_hz, frequency),
-        # Reflected at zero: damping ratios stay positive.
-        damping_ratio=np.abs(_moved(mode.posterior.damping_ratio, zeta)),
+    posterior = mode.posterior.including(
         errors={**mode.posterior.errors, **({"decays": between} if max(between) > 0.0 else {})},
+        mean=((frequency.value, max(frequency.sd, least_hz)), (zeta.value, max(zeta.sd, least))),
     )
     ordered = tuple(sorted(values, key=lambda v: v.start_s))
     return replace(mode, posterior=posterior, decays=ordered)
-
-
-def _moved(draws: FloatArray, combined: Combined) -> FloatArray:
-    """The draws shifted and scaled to the combined value and standard deviation."""
-    scale = combined.sd / max(float(np.std(draws)), 1e-300)
-    return np.asarray(combined.value + scale * (draws - np.median(draws)))

@@ -8,7 +8,6 @@ from .mode_posterior import SampledMode as SampledMode
 from .mode_posterior import determine_mode as determine_mode
 from .mode_posterior import sample_mode as sample_mode
 from .mode_posterior import sample_modes as sample_modes
-from .mode_posterior import widened as widened
 from .mode_posterior import with_rate_error as with_rate_error
 from .noise import channel_noise_level as channel_noise_level
 from .noise import noise_level as noise_level

@@ -15,7 +15,6 @@ from .drive_odds import holds_a_decay as holds_a_decay
 from .drive_odds import is_driven_part as is_driven_part
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
-from .drive_odds import strongest_is_driven as strongest_is_driven
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset
 from .find_onset import from_largest_deflection as from_largest_deflection

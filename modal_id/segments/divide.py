@@ -63,9 +63,6 @@ class Tuning:
     #: [cycles] least decay after a drive, unless a pluck ends it
     #: physics: A change in the last few cycles is a jolt or a frozen frame.
     least_free_cycles: float = 5.0
-    #: [1] least amplitude of the latter half of a driven motion over its largest
-    #: convention: Less is the transient of its start.
-    kept: float = 0.3
 
 
 TUNING = Tuning()
@@ -177,9 +174,8 @@ def divide(
         # A motion that decays within a cycle or two is no line of the spectrum: the fit decides whether there is one.
         onset = begins_free or record_start(0.0)
         return RecordParts((Decay(onset, last),), (Segment("decay", 0.0, last),), undisturbed, onset)
-    strongest = tones.dominant_hz
     rest_s = rest_until(beam, variance[~base], tones.strongest_hz)
-    beam = without_swing(beam, variance[~base], strongest, detrended(beam))
+    beam = without_swing(beam, variance[~base], tones.dominant_hz, detrended(beam))
     # Events are looked for in the strongest lines: they interrupt them, too.
     per_cycle = TUNING.samples_per_cycle * data.step_s
     fine = beam.averaged(max(1, int(1.0 / (per_cycle * max(tones.strongest_hz)))))
@@ -276,7 +272,7 @@ class _Division:
         long = cycles > 2.0 * TUNING.least_cycles and tail.time_s.size >= TUNING.least_rows
         moves = following is not None and not self._at_rest(following)
         follows = following if moves and following is not None and not _rises(following) else None
-        probability = self._probability(tail, prior, follows) if long and self._keeps_amplitude(part) else 0.0
+        probability = self._probability(tail, prior, follows) if long else 0.0
         driven = is_rather_driven(probability)
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
         first = event if event is not None and event.start_s <= self.thin.time_s[0] else None
@@ -340,7 +336,7 @@ class _Division:
         changes_s = start_s + change.time_s
         driving = _Part(start_s, changes_s, None)
         free = _Part(changes_s + settling_s(hz, samples.step_s, change.sd_s, end_s - changes_s), end_s, None)
-        if not self._keeps_amplitude(driving) or not self._drive_precedes(driving, free, prior):
+        if not self._drive_precedes(driving, free, prior):
             return None
         return _shifted(stop_of_shaking(samples, change, hz, lowest_hz, self.base), start_s)
 
@@ -359,12 +355,6 @@ class _Division:
         if not is_rather_driven(self._probability(late, prior, follows)):
             return False
         return not decays(self.thin.between(part.start_s, part.end_s), self.frequency_hz, self.lowest_hz)
-
-    def _keeps_amplitude(self, part: _Part) -> bool:
-        """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
-        known = np.isfinite(self.level) & (self.block_s >= part.start_s) & (self.block_s <= part.end_s)
-        late = self.level[known & (self.block_s >= 0.5 * (part.start_s + part.end_s))]
-        return not late.size or float(np.median(late)) > TUNING.kept * float(np.max(self.level[known]))
 
     def _at_rest(self, part: _Part) -> bool:
         if self.rest_until_s is not None and part.end_s <= self.rest_until_s:

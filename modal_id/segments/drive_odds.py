@@ -209,17 +209,6 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
     return data, fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start), 0
 
 
-def strongest_is_driven(model: ModalFit, follows: ModalFit | None) -> bool:
-    """Whether the strongest mode of a fit is rather driven than free, before another motion, where that has a fit."""
-    pole, index = complex(model.fit.poles[model.strongest]), model.strongest
-    later = None
-    if follows is not None:
-        near = np.abs(frequency_hz(follows.fit.poles) / float(frequency_hz(pole)) - 1.0)
-        if np.min(near) < TUNING.same_line:
-            later = float(damping_ratio(complex(follows.fit.poles[int(np.argmin(near))])))
-    return is_rather_driven(_probability(model.data, model.fit, index, PRIOR, later))
-
-
 def close_modes(model: ModalFit) -> BoolArray:
     """Which modes of a fit are close to each other, and to themselves; shape (modes, modes)."""
     hz = frequency_hz(model.fit.poles)

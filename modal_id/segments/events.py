@@ -6,6 +6,7 @@ extrapolated, do not explain each other.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -113,10 +114,14 @@ def find_events(
         sd_s = data.step_s / np.sqrt(12.0)
         events.append(Event("rise", rest_until_s, rest_until_s + data.step_s, sd_s=sd_s))
         begin = events[0].end_s
-    changes = find_changes(data, tones_hz, begin)
-    for index, change in enumerate(changes):
-        until = changes[index + 1].low_s if index + 1 < len(changes) else float(data.time_s[-1])
+    left = deque(find_changes(data, tones_hz, begin))
+    while left:
+        change = left.popleft()
+        until = left[0].low_s if left else float(data.time_s[-1])
         event = _event(data, change, begin, until, 1.0 / tones_hz[0], lowest_hz)
+        if change.instead and not _is_short_click(event, begin, until):
+            left.extendleft(reversed(change.instead))
+            continue
         if event is None or event.kind == "burst":
             others.append(change)
         if event is None:
@@ -131,6 +136,13 @@ def find_events(
     if len(continuous) > TUNING.most_continuous:
         events = [e for e in events if e.jumps]
     return events, others
+
+
+def _is_short_click(event: Event | None, begin_s: float, until_s: float) -> bool:
+    """Whether an event is a click, shorter than the motion on either side that it interrupts."""
+    if event is None or event.kind != "burst":
+        return False
+    return event.end_s - event.start_s < min(event.start_s - begin_s, until_s - event.end_s)
 
 
 def _event(

@@ -8,7 +8,7 @@ doi:10.1109/LSP.2001.838216).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -307,12 +307,9 @@ class Tuning:
     #: [cycles] least length of a motion between two changes
     #: convention: Of less, no damping can be known.
     apart_cycles: float = 1.5
-    #: [blocks] longest stretch of noise that belongs to a change
-    #: convention: A click without duration disturbs two.
+    #: [blocks] longest click
+    #: convention: One without duration disturbs two.
     click_blocks: int = 3
-    #: [1] power of a longer one, over the geometric mean of those beside it, from which it does
-    #: convention: Rest is quieter.
-    loud: float = 0.1
     #: [1] mean square residual of a block over the median from which it holds a burst
     #: statistics: Three standard deviations.
     burst: float = 9.0
@@ -323,11 +320,15 @@ TUNING = Tuning()
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the motion between two times, relative to the data; what lies between them may be unknown."""
+    """A change of the motion between two times, relative to the data; what lies between them may be unknown.
+
+    If it is no click, it stands for the changes `instead`.
+    """
 
     low_s: float
     high_s: float
     unknown: bool = False
+    instead: tuple[Change, ...] = ()
 
     @property
     def place(self) -> ChangeSearch:
@@ -337,7 +338,8 @@ class Change:
 
     def later(self, by_s: float) -> Change:
         """The same, later by `by_s`."""
-        return Change(self.low_s + by_s, self.high_s + by_s, self.unknown)
+        instead = tuple(one.later(by_s) for one in self.instead)
+        return Change(self.low_s + by_s, self.high_s + by_s, self.unknown, instead)
 
 
 def find_changes(data: FitData, tones_hz: tuple[float, ...], begin_s: float) -> list[Change]:
@@ -368,8 +370,7 @@ def _changes(
     least_s = TUNING.apart_cycles / max(tones_hz[0], least_hz)
     found: list[Change] = []
     for change in _divided(blocks):
-        one = change.later(begin_s)
-        one = one if one.unknown else _refined(data, tones_hz, begin_s, one, least_hz)
+        one = _refined(data, tones_hz, begin_s, change.later(begin_s), least_hz)
         if found and one.low_s - found[-1].high_s < least_s:
             last = found.pop()
             one = Change(last.low_s, max(one.high_s, last.high_s), unknown=True)
@@ -382,27 +383,11 @@ def _divided(blocks: LineBlocks) -> list[Change]:
     edges, seen = blocks.edges_s, _seen(blocks)
     if edges.size < 4:
         return []
-    cost, noise = _total_costs(blocks)
-    stretches = best_division(cost)
-    power = np.nansum(np.abs(blocks.amplitude) ** 2, axis=(1, 2))
-    mean = [float(np.mean(power[first:last])) for first, last in stretches]
-    found: list[Change] = []
-    low_s = -1.0
-    for k, (first, last) in enumerate(stretches[1:], 1):
-        noisy, gap = low_s >= 0.0, not (seen[first - 1] and seen[first])
-        low_s = low_s if noisy else _reach(edges, seen, first)[0]
-        inner = k + 1 < len(stretches) and noise[first, last] and not noise[stretches[k + 1]]
-        loud = inner and mean[k] > TUNING.loud * np.sqrt(mean[k - 1] * mean[k + 1])
-        if inner and (loud or last - first <= TUNING.click_blocks):
-            continue
-        at = first
-        # The last blocks of a burst may have been taken for motion; a motion far above the noise is loud to its end.
-        while noisy and at + 1 < last and blocks.excess[at + 1] > TUNING.burst:
-            at += 1
-        at = first if at + 1 == last else at
-        found.append(Change(low_s, _reach(edges, seen, at)[1], noisy or gap))
-        low_s = -1.0
-    return sorted(found + _bursts(blocks, found), key=lambda one: one.low_s)
+    found = [
+        Change(*_reach(edges, seen, first), unknown=not (seen[first - 1] and seen[first]))
+        for first, _ in best_division(_total_costs(blocks))[1:]
+    ]
+    return sorted(_with_bursts(blocks, found), key=lambda one: one.low_s)
 
 
 def _seen(blocks: LineBlocks) -> BoolArray:
@@ -416,27 +401,33 @@ def _reach(edges: FloatArray, seen: BoolArray, at: int) -> tuple[float, float]:
     return float(edges[before]), float(edges[at + 1 + int(np.argmax(seen[at:]))])
 
 
-def _bursts(blocks: LineBlocks, known: list[Change]) -> list[Change]:
-    """Runs of blocks that the lines explain far worse than most, apart from known changes and the first block.
+def _with_bursts(blocks: LineBlocks, known: list[Change]) -> list[Change]:
+    """Changes with runs of blocks that the lines explain far worse than most, but for that of the first block.
 
-    A long one up to the end of the record is a motion with further modes, and its begin the change.
+    A long one with several known changes may be one instead of these. A long one up to the end of the record is a
+    motion with further modes, and its begin the change.
     """
     loud = np.flatnonzero(np.nan_to_num(blocks.excess) > TUNING.burst)
     groups = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1) if loud.size else []
-    found = []
     for group in groups:
         low_s, high_s = float(blocks.edges_s[group[0]]), float(blocks.edges_s[group[-1] + 1])
-        to_end = group[-1] + 2 == blocks.edges_s.size and group.size > TUNING.click_blocks
+        long = group.size > TUNING.click_blocks
+        to_end = long and group[-1] + 2 == blocks.edges_s.size
         limits = _reach(blocks.edges_s, _seen(blocks), int(group[0])) if to_end else (low_s, high_s)
-        if group[0] > 0 and all(high_s < other.low_s or low_s > other.high_s for other in known):
-            found.append(Change(*limits, unknown=not to_end))
-    return found
+        others = [one for one in known if high_s < one.low_s or low_s > one.high_s]
+        instead = tuple(sorted((one for one in known if one not in others), key=lambda one: one.low_s))
+        if group[0] > 0 and (not instead or (long and not to_end and len(instead) > 1)):
+            known = [*others, Change(*limits, not to_end, instead)]
+    return known
 
 
 def _refined(
     data: FitData, tones_hz: tuple[float, ...], begin_s: float, change: Change, least_hz: float = 0.0
 ) -> Change:
-    """A change between blocks of many cycles, to those of fewer."""
+    """A change between blocks of many cycles, to those of fewer, unless what lies between them is unknown."""
+    if change.unknown:
+        instead = (_refined(data, tones_hz, begin_s, one, least_hz) for one in change.instead)
+        return replace(change, instead=tuple(instead))
     shortest_s = shortest_block_s(data, tones_hz, least_hz)
     while (width_s := change.high_s - change.low_s) > 3.0 * shortest_s:
         low_s = max(begin_s, change.low_s - width_s)
@@ -458,22 +449,20 @@ def likeliest_change(data: FitData, tones_hz: tuple[float, ...]) -> Change | Non
 
 def _of_two(blocks: LineBlocks) -> Change:
     """The change between the two stretches of the best division into two."""
-    cost, _ = _total_costs(blocks, inner=0)
+    cost = _total_costs(blocks, inner=0)
     at = int(np.argmin(cost[0, 1:-1] + cost[1:-1, -1])) + 1
     return Change(*_reach(blocks.edges_s, _seen(blocks), at))
 
 
-def _total_costs(blocks: LineBlocks, inner: int = 1) -> tuple[FloatArray, BoolArray]:
-    """Cost of every stretch from one edge to another, shape (b + 1, b + 1), and whether all of it is noise."""
+def _total_costs(blocks: LineBlocks, inner: int = 1) -> FloatArray:
+    """Cost of every stretch from one edge to another, shape (b + 1, b + 1)."""
     penalty = float(np.log(max(2.0 * blocks.amplitude[:, 0].size, 2.0)))
     count = blocks.edges_s.size
-    total, noise = np.full((count, count), penalty), np.ones((count, count), dtype=bool)
+    total = np.full((count, count), penalty)
     for tone in range(blocks.amplitude.shape[1]):
         own = np.ascontiguousarray(blocks.amplitude[:, tone])
-        cost, waves = stretch_costs(own, TUNING.relative_error, penalty, np.int64(inner))
-        total += cost
-        noise &= waves == 0.0
-    return total, noise
+        total += stretch_costs(own, TUNING.relative_error, penalty, np.int64(inner))[0]
+    return total
 
 
 def best_division(cost: FloatArray) -> list[tuple[int, int]]:

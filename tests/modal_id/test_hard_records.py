@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 from kit.identified import assert_inside, quick
-from kit.series import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, cramer_rao, one_mode, pole_of, series_of
+from kit.series import (
+    PAPER_HZ,
+    PAPER_ZETA,
+    clamped_free_shapes,
+    cramer_rao,
+    decay,
+    one_mode,
+    pole_of,
+    series_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -116,3 +125,23 @@ def test_a_fit_through_all_samples_that_were_not_rejected_knows_no_noise():
     y += [-1407.4769, -28.3817, -252.6503, 1234.3945, -545.235, -1381.3844]
     found = quick(series_of(np.arange(12) * 1.0682855e-3, np.array(y)))
     assert [mode.codes for mode in found.failed] == [("HARDLY_DETERMINED",)], found
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_a_mode_of_three_samples_before_a_gap_is_hardly_determined(seed):
+    """With 1 % of its energy after the gap, modes at other frequencies fit as well; of seed 5, enough is left."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(370) / 53.0
+    phases, hz = rng.uniform(0.0, 2.0 * np.pi, 3), rng.uniform(8.0, 18.0)
+    waves = ((2.997, 0.004, 0.5), (4.89, 0.002, 0.4), (hz, 0.96 / hz, 1.2))
+    y = sum(decay(t, f, z, a, p) for (f, z, a), p in zip(waves, phases, strict=True))
+    y += 0.02 * rng.standard_normal(t.size)
+    y[3:23] = np.nan
+    found = quick(series_of(t, y))
+    fast = [mode for mode in found.modes if mode.frequency_hz > 6.0]
+    if seed == 5:
+        (mode,) = fast
+        assert_inside(mode, hz, 0.96 / hz)
+    else:
+        assert not fast
+        assert [mode.codes for mode in found.failed] == [("HARDLY_DETERMINED",)]

@@ -1,7 +1,11 @@
+"""Draws that include errors beside the noise."""
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
-
-from modal_id.posterior import widened
+from kit.identified import quick
+from kit.series import decay, series_of
 
 N = 20_000
 
@@ -10,7 +14,12 @@ N = 20_000
 def test_widening_keeps_the_medians_and_positive_damping(share):
     rng = np.random.default_rng(4)
     f, zeta = 10.0 + 1e-4 * rng.standard_normal((4, N // 4)), 0.02 + 1e-4 * rng.standard_normal((4, N // 4))
-    wide_f, wide = widened(f, zeta, (1e-2, share * 0.02), rng)
+    t = np.arange(400) / 200.0
+    own = quick(series_of(t, decay(t, 10.0, 0.02) + 0.01 * rng.standard_normal(t.size))).target.posterior
+    sampled = replace(own.sampled, frequency_hz=f, damping_ratio=zeta)
+    wider = replace(own, sampled=sampled).including(errors={"positions": (1e-2, share * 0.02)})
+    assert np.array_equal(wider.including(errors={}).damping_ratio, zeta)
+    wide_f, wide = wider.frequency_hz, wider.damping_ratio
     assert wide.shape == wide_f.shape == zeta.shape
     assert np.min(wide) > 0.0
     # standard error of a median: sqrt(pi / 2 n) sd

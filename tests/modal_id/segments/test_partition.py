@@ -56,7 +56,10 @@ def test_a_loud_decay_of_a_quiet_record_is_no_part_of_its_release():
     # solution of a' = -z w a (1 + 3 a), held from then on
     free = 1.0 / (4.0 * np.exp(2 * np.pi * HZ * 0.001 * (since - held)) - 3.0)
     y = np.where(t < 5.1, 0.0, free * np.exp(-2 * np.pi * HZ * 0.08 * held) * np.cos(2 * np.pi * HZ * since))
-    found = find_changes(data_of(t, y, 1e-4, 1), (HZ,), 0.0)
+    # as a whole, the decay may be a click
+    found = [
+        part for one in find_changes(data_of(t, y, 1e-4, 1), (HZ,), 0.0) for part in one.instead or (one,)
+    ]
     # Blocks of two cycles: a release disturbs one, and is known to those beside it.
     assert any(one.low_s < 5.1 < one.high_s < 5.1 + 12.0 / HZ for one in found), found
     assert any(x.low_s - 2.0 / HZ < 30.0 < x.high_s + 2.0 / HZ and x.low_s > 25.0 for x in found), found

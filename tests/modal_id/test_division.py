@@ -7,10 +7,10 @@ import pytest
 from kit.identified import in_sd, quick
 from kit.series import decay, errors_of_positions, series_of
 
+from modal_id import IdentifySettings, identify
 from modal_id.data import prepare
-from modal_id.fit import find_modes
-from modal_id.pieces import fit_decays, misfit
-from modal_id.segments import Decay, RecordParts, likeliest_change, no_onset, record_start, user_onset
+from modal_id.fit import find_modes, misfit
+from modal_id.segments import likeliest_change
 
 T = np.arange(3000) / 200.0
 # Two modes as close as two cycles of the slower cannot separate.
@@ -116,15 +116,13 @@ def test_a_motion_whose_phase_jumps_has_no_damping_ratio():
             assert error < 4.0 * line.frequency_sd_hz, f"{line} for 9.2 Hz"
 
 
-@pytest.mark.parametrize(("onset", "kind"), [(record_start(0.0), "driven"), (user_onset(0.0), "decay")])
-def test_a_motion_that_hardly_decays_is_driven_unless_the_user_calls_it_free(onset, kind):
+@pytest.mark.parametrize(("onset_s", "kind"), [(None, "driven"), (0.0, "decay")])
+def test_a_motion_that_hardly_decays_is_driven_unless_the_user_calls_it_free(onset_s, kind):
     """A line without damping until a pluck: 58 cycles in noise of 20 % cannot tell a zeta of 1e-4 from none."""
     since = np.clip(T - CHANGE_S, 0.0, None)
     values = np.where(T < CHANGE_S, decay(T, 9.2, 0.0, 1.0, 0.0), decay(since, 9.2, 0.01, 2.0, 2.2))
     series = series_of(T, values + 0.2 * np.random.default_rng(4).standard_normal(T.size))
-    whole = RecordParts((Decay(onset, T[-1]),), (), np.zeros(T.size, dtype=bool), no_onset(0.0))
-    fits = fit_decays(series, prepare(series), whole, 8, 0.5)
-    first = min((s for s in fits.segments if s.kind != "disturbed"), key=lambda one: one.start_s)
+    first = identify(series, IdentifySettings(onset_s=onset_s)).segments[0]
     assert (first.kind, first.start_s) == (kind, 0.0)
 
 

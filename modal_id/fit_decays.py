@@ -1,18 +1,23 @@
-"""Fits of the pieces of a decay: one that free decays do not explain is divided at clicks, or where motion changes."""
+"""Fits of all decays of a record, and of its driven stretches where nothing decays.
+
+A piece that free decays do not explain is divided where the motion changes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from modal_id.curve import amplitude_curve, explains
-from modal_id.data import MIN_SAMPLES, FitData, Prepared, Projection, reject_outliers, runs
+from modal_id.data import MIN_SAMPLES, FitData, Prepared, Projection
 from modal_id.fit import (
     ModalFit,
     Omissions,
     find_modes,
+    misfit,
     refit,
     with_named,
     with_rounding_errors,
@@ -24,45 +29,24 @@ from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments import (
     Boundary,
+    RecordParts,
     changed_onset,
     from_largest_deflection,
+    holds_a_decay,
     likeliest_change,
     locate_boundary,
     no_line,
+    record_start,
 )
 from modal_id.sentences import Note, Reason, Refusal
-from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
-from tracker import BoolArray, DisplacementSeries, FloatArray
+from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
+from tracker import BoolArray, ComplexArray, DisplacementSeries, FloatArray
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Outliers that disturb the motion, misfit of a decay, pieces that a free decay explains."""
+    """Pieces that free decays explain, division into pieces, spread over parts of a decay."""
 
-    #: [samples] most samples between two rejected ones that belong together
-    gap: int = 4
-    #: [1] probability, over the whole record, that as many single outliers lie together by chance
-    #: statistics: One record in a thousand.
-    false_alarm: float = 1e-3
-    #: [1] number of parts of the record in which the rate of outliers is counted
-    parts: int = 40
-    #: [samples] fewest samples over which the residual before a click is averaged
-    least: int = 32
-    #: [1] mean square of the residual over the noise below which it is quiet
-    #: statistics: By chance above at four standard deviations.
-    quiet: float = 2.0
-
-    #: [cycles] length of a window
-    cycles: float = 2.0
-    #: [samples] shortest window
-    least_rows: int = 16
-    #: [1] number of strongest modes on whose waves the residual is projected
-    modes: int = 2
-    #: [sd] errors of a codec that are no change of the motion
-    #: convention: What it leaves out of small motions.
-    omitted_sd: float = 2.0
-    #: [1] power of the projection over that of the rest, for each degree of freedom, that noise may reach
-    noise: float = 6.0
     #: [1] share of the power that a free decay may leave
     #: measurement: A few parts in ten thousand with a camera's errors, per cent with a hand, a pluck or driving.
     most_left: float = 0.003
@@ -75,178 +59,20 @@ class Tuning:
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
 
+    #: [1] number of parts
+    parts: int = 3
+    #: [cycles] shortest part
+    part_cycles: float = 2.0
+    #: [samples] the same
+    part_rows: int = 12
+    #: [1] largest number of divisions of a record
+    most_splits: int = 6
+    #: [1] share of the motion's power that a fit may leave where free decays explain no piece
+    #: convention: It stands with wide intervals.
+    most_rough: float = 0.1
+
 
 TUNING = Tuning()
-
-
-def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, BoolArray]:
-    """Leave out the stretches in which rejected samples cluster, until the disturbance has faded, and fit again.
-
-    `weights`, shape (n, k), are those before any rejection. Returns the fit and the mask of these rows, shape (n,): of
-    those in which at least half of the channels are rejected, since a fault of one channel is no click.
-    """
-    linear, used = model.fit.linear, weights > 0.0
-    rejected = used & (model.data.weights == 0.0)
-    count = np.count_nonzero(used, axis=1)
-    bad = (count > 0) & (2 * np.count_nonzero(rejected, axis=1) >= count)
-    square = np.sum(weights * linear.residual**2 / linear.noise_variance, axis=1) / np.maximum(count, 1)
-    # Outliers are not part of the residual that is to fade.
-    square[bad] = 1.0
-    cycle = 1.0 / (float(np.min(frequency_hz(model.fit.poles))) * model.data.step_s)
-    window = int(max(TUNING.least, cycle))
-    rows = np.zeros(bad.size, dtype=bool)
-    for first, last in _clusters(bad):
-        before, end = square[max(first - window, 0) : first], _faded(square, last, window)
-        if end + window < bad.size and before.size and np.mean(before) < TUNING.quiet:
-            rows[first : end + 1] = True
-    if not np.any(rows):
-        return model, rows
-    # A click distorts the fit, so that samples are rejected that are no outliers without it: they are found anew.
-    left = np.where(rows[:, None], 0.0, weights)
-    data = replace(model.data, weights=left)
-    return refit(model, model.fit.poles, reject_outliers(data, left, linear.residual)), rows
-
-
-def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
-    """First and last row of each group of marked rows that cluster more than by chance."""
-    places = np.flatnonzero(bad)
-    if not places.size:
-        return []
-    groups = np.split(places, np.flatnonzero(np.diff(places) > TUNING.gap + 1) + 1)
-    # Single outliers are independent: `follows` is the probability that the next one follows within the gap. Where they
-    # are many, they cluster by chance, but then in most parts of the record; clicks fill few parts.
-    parts = np.array_split(bad, min(TUNING.parts, bad.size))
-    alone = sum(group.size == 1 for group in groups) / bad.size
-    single = max(alone, float(np.median([np.mean(part) for part in parts])))
-    follows = -np.expm1((TUNING.gap + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
-    return [
-        (int(group[0]), int(group[-1]))
-        for group in groups
-        if (group.size - 1) * np.log(follows) + np.log(places.size) < np.log(TUNING.false_alarm)
-    ]
-
-
-def _faded(square: FloatArray, last: int, window: int) -> int:
-    """First row from `last` on after which the residuals are quiet; the number of rows where they never are."""
-    sums = np.cumsum(np.concatenate([[0.0], square]))
-    ends = np.arange(last, square.size - window)
-    quiet = (
-        sums[ends + 1 + window] - sums[ends + 1] < TUNING.quiet * window
-        if ends.size
-        else np.zeros(0, dtype=bool)
-    )
-    return int(ends[np.argmax(quiet)]) if np.any(quiet) else square.size
-
-
-def click_segments(time_s: FloatArray, rows: BoolArray) -> tuple[Segment, ...]:
-    """A segment for each run of the mask `rows`; both arrays have shape (n,)."""
-    return tuple(
-        Segment("disturbed", float(time_s[first]), float(time_s[last - 1]), Note.CLICK())
-        for first, last in runs(rows)
-    )
-
-
-# Samples at a time.
-_BLOCK = 65536
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Unexplained motion of a fit.
-
-    Attributes
-    ----------
-    share : float
-        Power at the frequencies of the strongest modes that the fit leaves beyond noise, as a share of the power of the
-        motion.
-    start_s, end_s : float
-        Window with the largest unexplained power, in the time of the fit's data.
-    """
-
-    share: float
-    start_s: float
-    end_s: float
-
-
-def misfit(model: ModalFit, omissions: Omissions | None = None) -> Misfit:
-    """Unexplained motion of a fit: where its poles fit but amplitudes or phases do not.
-
-    `omissions` of a codec may explain it.
-
-    Bursts of noise raise the power at all frequencies, and are none. Where a mode stands for an unresolved pair, the
-    pair explains what one mode does not.
-    """
-    found = _misfit(model, model.fit.linear, omissions)
-    if not model.unresolved:
-        return found
-    poles = list(model.fit.poles)
-    for pair in model.unresolved:
-        del poles[int(np.argmin(np.abs(np.array(poles) - pair[0])))]
-        poles += list(pair)
-    columns = ModeColumns(model.data.time_s, np.array(poles))
-    both = _misfit(model, solve_linear(model.problem, columns), omissions)
-    return min(found, both, key=lambda one: one.share)
-
-
-def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None) -> Misfit:
-    data = model.data
-    length = max(TUNING.least_rows, int(np.ceil(TUNING.cycles / (_strongest_hz(model)[0] * data.step_s))))
-    count = data.time_s.size // length
-    if count < 2:
-        return Misfit(0.0, 0.0, 0.0)
-    time_s = data.time_s[: count * length].reshape(count, length)
-    # Coloured noise has more power at the modes than white noise.
-    coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in _strongest_hz(model).tolist()))
-    excess, moved = np.zeros(count), np.zeros(count)
-    for first in range(0, count, max(1, _BLOCK // length)):
-        block = slice(first, min(first + max(1, _BLOCK // length), count))
-        rows = slice(block.start * length, block.stop * length)
-        waves = np.exp(2j * np.pi * time_s[block, :, None] * _strongest_hz(model))
-        baseline = linear.splines[rows] @ linear.slow
-        columns = np.concatenate([np.ones((*waves.shape[:2], 1)), waves.real, waves.imag], axis=2)
-        omitted = _power(omissions, rows, length, linear.noise_variance.size)
-        for channel, variance in enumerate(linear.noise_variance):
-            w, r, y = (
-                values[:, channel].reshape(-1, length)
-                for values in (data.weights[rows], linear.residual[rows], data.values[rows] - baseline)
-            )
-            inside, total = _projected(columns, w, r)
-            freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
-            noise = (total - inside) / freedom
-            own = np.maximum(
-                inside - TUNING.noise * coloured * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0
-            )
-            excess[block] += np.where(freedom > 1, own, 0.0) / variance
-            moved[block] += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
-    worst = int(np.argmax(excess))
-    share = float(np.sum(excess)) / max(float(np.sum(moved)), 1e-300)
-    return Misfit(share, float(time_s[worst, 0]), float(time_s[worst, -1]))
-
-
-def _power(omissions: Omissions | None, rows: slice, length: int, channels: int) -> FloatArray:
-    """Power in each window, shape (windows, k), that a codec may have left out."""
-    count = (rows.stop - rows.start) // length
-    if omissions is None:
-        return np.zeros((count, channels))
-    squares = 0.5 * (TUNING.omitted_sd * omissions.sd(rows)) ** 2
-    return np.asarray(np.sum(squares.reshape(count, length, channels), axis=1))
-
-
-def _strongest_hz(model: ModalFit) -> FloatArray:
-    """Frequencies of the modes with most energy, strongest first."""
-    return np.asarray(frequency_hz(model.fit.poles)[np.argsort(-model.energy, kind="stable")[: TUNING.modes]])
-
-
-def _projected(columns: FloatArray, weights: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Power of the projection of each window on the waves, offset removed, and of the window less its offset."""
-    weighted = columns * weights[..., None]
-    gram = np.swapaxes(weighted, 1, 2) @ columns
-    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
-    moment = np.einsum("clp,cl->cp", weighted, values)
-    solved = np.linalg.solve(gram + ridge * np.eye(columns.shape[2]), moment[..., None])[..., 0]
-    offset = moment[:, 0] ** 2 / np.maximum(gram[:, 0, 0], 1e-300)
-    total = np.sum(weights * values**2, axis=1)
-    return np.maximum(np.sum(moment * solved, axis=1) - offset, 0.0), np.maximum(total - offset, 0.0)
 
 
 @dataclass(frozen=True)
@@ -369,9 +195,6 @@ class PieceFitter:
             if used.projection is not None:
                 names = [f"component {q + 1}" for q in range(data.values.shape[1])]
             return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
-        model, clicks = without_clicks(model, data.weights)
-        data = _without(data, clicks)
-        left_out |= clicks
         model, moving = _without_still_channels(model)
         mixed = self._mixed(moving)
         if series.position_errors is not None:
@@ -385,10 +208,9 @@ class PieceFitter:
         if series.scale_change is not None:
             model = with_scale_errors(model, series.scale_change, onset.fit_from_s)
         rows = used.first_row + np.arange(inside.start, inside.stop, dtype=np.int32)
-        clicked = click_segments(series.time_s[rows], clicks)
         channels = None if mixed is None else mixed.to_channels
         count = int(np.count_nonzero(left_out))
-        return FittedDecay(onset, end_s, rows, count, data, model, moving, clicked, channels)
+        return FittedDecay(onset, end_s, rows, count, data, model, moving, channels)
 
     def _mixed(self, moving: BoolArray) -> Projection | None:
         """The channels on the components that move; None where channels are fitted."""
@@ -437,3 +259,121 @@ def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
     if np.all(moving):
         return model, moving
     return refit(model, model.fit.poles, model.data.channels(moving)), moving
+
+
+def with_spread(model: ModalFit) -> ModalFit:
+    """The fit with the largest differences between its poles and those of thirds of the decay as further errors.
+
+    The parts hold equal energy of each mode. A mode whose parts cannot be fitted may have any decay rate up to twice
+    the fitted one, and a frequency as uncertain.
+    """
+    spread = np.concatenate([_largest_difference(model, index) for index in range(model.fit.poles.size)])
+    known = np.zeros((spread.size, spread.size)) if model.repeating is None else model.repeating
+    return replace(model, repeating=known + np.diag(spread**2))
+
+
+def mean_scatter_rad_s(model: ModalFit, index: int) -> float:
+    """Standard deviation of a line's angular frequency from its scatter between thirds of the record; 0 if unknown."""
+    apart = np.imag(_differences(model, index))
+    return float(np.sqrt(np.mean(apart**2) / apart.size)) if apart.size else 0.0
+
+
+def _largest_difference(model: ModalFit, index: int) -> FloatArray:
+    """Of (Re, Im) of the pole with this index."""
+    found = _differences(model, index)
+    if found.size < 2:
+        return np.full(2, abs(complex(model.fit.poles[index]).real))
+    return np.array([np.max(np.abs(found.real)), np.max(np.abs(found.imag))])
+
+
+def _differences(model: ModalFit, index: int) -> ComplexArray:
+    """Poles of the parts less that of the fit, as far as the parts can be fitted."""
+    pole = complex(model.fit.poles[index])
+    data = own_problem(model.problem, model.fit, np.array([index])).data
+    energy = np.cumsum(
+        np.exp(2.0 * np.minimum(pole.real, 0.0) * data.time_s) * np.any(data.weights > 0.0, axis=1)
+    )
+    edges = np.searchsorted(energy, np.linspace(0.0, energy[-1], TUNING.parts + 1))
+    edges[-1] = data.time_s.size
+    least = max(TUNING.part_rows, int(TUNING.part_cycles / (float(frequency_hz(pole)) * data.step_s)))
+    found = []
+    for first, last in pairwise(edges):
+        if last - first < least:
+            continue
+        part = data.rows(slice(int(first), int(last)))
+        part = part.from_time(float(part.time_s[0]))
+        fit = fit_poles(Problem(part, np.ones((part.time_s.size, 1))), np.array([pole]))
+        if fit.converged:
+            found.append(complex(fit.poles[0]) - pole)
+    return np.array(found, dtype=complex)
+
+
+@dataclass(frozen=True)
+class DecayFits:
+    """Fitted decays and driven stretches of a record, its segments, and why the other decays have no fit."""
+
+    decays: tuple[FittedDecay, ...]
+    driven: tuple[FittedDecay, ...]
+    segments: tuple[Segment, ...]
+    reasons: tuple[Refusal, ...]
+
+
+def fit_decays(
+    series: DisplacementSeries,
+    used: Prepared,
+    parts: RecordParts,
+    max_modes: int,
+    lowest_hz: float,
+    *,
+    whole: bool = False,
+    named_hz: tuple[float, ...] = (),
+) -> DecayFits:
+    """Fit every decay of a divided record; with `whole`, none is divided further.
+
+    `named_hz` are frequencies at which a mode is fitted even where the search finds none.
+    """
+    fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz, named_hz)
+    splits = 0 if whole else TUNING.most_splits
+    pieces: list[Piece] = []
+    for decay in parts.decays:
+        pieces += fitter.pieces(decay.onset, decay.end_s, splits)
+    segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]
+    decays = [one.fit for one in pieces if one.fit is not None]
+    driven: list[FittedDecay] = []
+    if not decays:
+        decays, driven, segments = _driven_stretches(fitter, parts, segments)
+    if not decays and not driven:
+        decays, segments = _rough_decay(fitter.rough, segments)
+    reasons = tuple(one.why for one in pieces if one.why is not None)
+    return DecayFits(tuple(decays), tuple(driven), tuple(segments), reasons)
+
+
+def _driven_stretches(
+    fitter: PieceFitter, parts: RecordParts, segments: list[Segment]
+) -> tuple[list[FittedDecay], list[FittedDecay], list[Segment]]:
+    """Fits of the driven stretches: a decay beside a line that hardly decays, the driven ones, and the segments."""
+    driven: list[FittedDecay] = []
+    for stretch in (s for s in parts.segments if s.kind == "driven"):
+        onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
+        one = fitter.fit(onset, stretch.end_s)
+        if isinstance(one, Refusal):
+            continue
+        if holds_a_decay(one.model):
+            onset = record_start(stretch.start_s)
+            decay = replace(stretch, kind="decay", note=onset.note)
+            segments = [decay if s == stretch else s for s in segments]
+            return [replace(one, onset=onset)], driven, segments
+        driven.append(one)
+    return [], driven, segments
+
+
+def _rough_decay(
+    rough: list[tuple[float, FittedDecay]], segments: list[Segment]
+) -> tuple[list[FittedDecay], list[Segment]]:
+    """The fit that leaves least, with wide intervals, unless it leaves too much; and the segments with it."""
+    share, one = min(rough, key=lambda pair: pair[0], default=(1.0, None))
+    if one is None or share > TUNING.most_rough:
+        return [], segments
+    segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
+    segments.append(Segment("decay", one.onset.time_s, one.end_s, Note.ROUGH(percent=100.0 * share)))
+    return [replace(one, model=with_spread(one.model))], segments
