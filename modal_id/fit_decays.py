@@ -58,10 +58,9 @@ class Tuning:
     samples_per_cycle: float = 8.0
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
-
-    #: [1] number of parts
+    #: [1] number of parts of a decay between which its poles may differ
     parts: int = 3
-    #: [cycles] shortest part
+    #: [cycles] shortest such part
     part_cycles: float = 2.0
     #: [samples] the same
     part_rows: int = 12
@@ -247,10 +246,8 @@ def _divided(one: FittedDecay, change: Boundary) -> list[tuple[Onset, float]]:
 
 def _is_one_curve(model: ModalFit) -> bool:
     """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
-    curve = amplitude_curve(model, model.strongest)
-    if curve is None or not curve.constant_residual_power > TUNING.explained:
-        return False
-    return explains(curve, TUNING.explained)
+    curve, most = amplitude_curve(model, model.strongest), TUNING.explained
+    return curve is not None and curve.constant_residual_power > most and explains(curve, most)
 
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:

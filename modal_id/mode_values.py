@@ -143,7 +143,22 @@ class Posterior(Table):
         mean: tuple[tuple[float, float], tuple[float, float]] | None = None,
         rate_sd_ppm: float | None = None,
     ) -> Posterior:
-        """The posterior with draws for other `errors`, `mean` or error of the rate than its own; None keeps these."""
+        """The posterior with draws for other errors, another mean or error of the rate than its own.
+
+        Parameters
+        ----------
+        errors : mapping of str to (float, float), or None
+            Standard deviations of frequency (Hz) and damping ratio by cause, in place of `errors`.
+        mean : tuple of (float, float), or None
+            Value and standard deviation of frequency (Hz) and of damping ratio, in place of `mean`.
+        rate_sd_ppm : float or None
+            Relative standard deviation of the frame rate in parts per million, in place of `rate_sd_ppm`.
+
+        Notes
+        -----
+        None keeps what the posterior has. Derived from `sampled` with the random stream of `seed`: calls may come in
+        any order, and the same errors give the same draws.
+        """
         errors, mean = (self.errors if errors is None else errors), mean or self.mean
         ppm = self.rate_sd_ppm if rate_sd_ppm is None else rate_sd_ppm
         frequency_hz, zeta = self.frequency_in_record_hz, self.damping_ratio

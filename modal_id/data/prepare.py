@@ -51,7 +51,6 @@ class Tuning:
     #: [1] share of the distances between changes that must be a multiple of the usual distance
     #: convention: A clock that is no whole multiple has two distances, equal samples of a coarse converter any.
     even: float = 0.9
-
     #: [1] length of a pause in steps over the number of samples from which it is an error of the time stamps
     long_pause: float = 10.0
     #: [1] number of mean steps whose median gives the sampling rate at a sample

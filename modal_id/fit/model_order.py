@@ -325,8 +325,7 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
     """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs."""
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
-    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > OWN_BAND
-    if np.any(moved):
+    if np.any(np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > OWN_BAND):
         return None
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     return None if strength[-1] < TUNING.relative_floor * np.max(strength) else joint

@@ -56,7 +56,6 @@ class Tuning:
     #: [1] share of the Nyquist frequency from which a line may be an alias
     #: convention: Chosen; effect on a flag.
     near_nyquist: float = 0.9
-
     #: [1] least ratio of the amplitudes of the motions to that of the distortion they cause
     weaker: float = 3.0
     #: [1] largest probability that some combination agrees by chance

@@ -46,7 +46,6 @@ class Tuning:
     #: [1] largest number of samples in all tiles together
     #: convention: Limits the memory.
     max_tile_samples: int = 4_000_000
-
     #: [sd] width of a cell near the mode
     width: float = 0.1
     #: [sd] distance up to which cells have that width

@@ -50,7 +50,6 @@ class Tuning:
     #: [1] power of the input over that of its noise below which it drives no mode that can be told
     #: statistics: The mean of nine bins of noise exceeds three times its expectation once in 30 000.
     least_power: float = 3.0
-
     #: [1] gain of log likelihood by a step that ends a search
     #: statistics: About one sd; the rounds with the noise spectra follow.
     negligible: float = 0.5

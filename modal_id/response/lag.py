@@ -45,7 +45,6 @@ class Tuning:
     #: [1] change of a constant by missing samples under the filter from which the value is missing
     #: statistics: Of an impact, that share of its momentum; the noise of forces is about as large.
     most_lost: float = 0.01
-
     #: [1] largest lag over the span of the record
     #: physics: Outputs at whose times the input is not known do not count.
     most_share: float = 0.1

@@ -28,14 +28,12 @@ class Tuning:
     #: [rad] error of phase up to which times count as even
     #: physics: Far below the noise of a sample.
     even: float = 1e-9
-
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.
     step_tolerance: float = 2e-3
     #: [sd] step that is negligible where a fit is refined later
     rough_tolerance: float = 0.05
-
-    #: [1] largest number of iterations
+    #: [1] largest number of iterations of a fit
     max_iterations: int = 40
     #: [1] largest number of times that a step is shortened
     shortened: int = 10

@@ -28,7 +28,6 @@ class Tuning:
     #: [1] eigenvalue over the largest that counts as 0
     #: convention: As in `numpy.linalg.pinv`.
     negligible: float = 1e-15
-
     #: [1] largest share of samples in which the weights of groups that share products may differ
     #: convention: Limits the computing time.
     max_different: float = 0.1
