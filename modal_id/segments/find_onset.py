@@ -111,7 +111,7 @@ def posterior_sd(problem: PiecewiseProblem, best: PiecewiseFit, inflation: float
         distances.append(offset_s)
         # Where both curves touch (a force that ends) the instant has no first-order effect, and the linear value is far
         # too large: other instants of one cycle are competing minima, if they fit.
-        radian_s = 1.0 / float(one.nonlinear[1])
+        radian_s = 1.0 / abs(float(one.nonlinear[1]))
         own = min(instant_sd(problem, one) * float(np.sqrt(inflation)), radian_s)
         weight = own * float(np.exp(-0.5 * excess / inflation))
         mass += weight
