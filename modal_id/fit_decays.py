@@ -53,6 +53,7 @@ class Tuning:
     #: [1] residual power of an amplitude curve over the noise up to which it explains that
     explained: float = 3.0
     #: [cycles] shortest piece of a divided decay
+    #: measurement: With three, a public recording of dry friction is cut and has two false modes (decision 0063).
     least_cycles: float = 6.0
     #: [samples] samples per cycle of the fastest mode in the search for the time of a change
     samples_per_cycle: float = 8.0

@@ -24,9 +24,8 @@ from modal_id.posterior import with_rate_error
 from modal_id.record import Segment
 from modal_id.response import identify_response
 from modal_id.results import FittedMode, Identification
-from modal_id.roles import modes_of_decays
+from modal_id.roles import maybe_held, modes_of_decays
 from modal_id.segments import (
-    HELD_LEAST,
     Decay,
     RecordParts,
     divide,
@@ -34,7 +33,7 @@ from modal_id.segments import (
     user_onset,
     whole_record,
 )
-from modal_id.sentences import ModeFlag, Note, Reason, Refusal
+from modal_id.sentences import Note, Reason, Refusal
 from modal_id.settings import IdentifySettings
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import DisplacementSeries, Failure
@@ -207,10 +206,7 @@ def _identified(
 def _after_drive(
     found: Identification, settings: IdentifySettings, lowest_hz: float
 ) -> Identification | None:
-    """Modes of what follows the last drive, as one decay; None where its target is missing or may be wrong.
-
-    Strong damping looks like a hand that stops the motion: what a hand may damp as much has a flag.
-    """
+    """Modes of what follows the last drive, free from its start on; None where the target is missing or doubtful."""
     series, before = found.series, found.segments
     begin_s = max((s.end_s for s in before if s.kind == "driven"), default=float(series.time_s[-1]))
     own = settings.model_copy(update={"onset_s": begin_s})
@@ -226,10 +222,7 @@ def _after_drive(
     after = _identified(series, used, parts, own, lowest_hz, whole=False)
     if not isinstance(after, Identification) or after.target is None or after.target.wrong_flags:
         return None
-    modes = (
-        mode.with_flags([ModeFlag.MAY_BE_HELD]) if mode.damping_ratio > HELD_LEAST else mode
-        for mode in after.modes
-    )
+    modes = maybe_held(after.modes, before, begin_s)
     segments = [s for s in before if s.end_s <= begin_s] + [s for s in after.segments if s.start_s >= begin_s]
     return replace(after, modes=tuple(modes), segments=tuple(segments))
 

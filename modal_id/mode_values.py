@@ -94,7 +94,8 @@ class Posterior(Table):
         Standard deviations of frequency (Hz) and damping ratio that the draws include beside the noise, by cause:
         "amplitude" (frequency and damping depend on it), "close mode" (the mode may be two), "little decay" (the record
         shows few amplitudes), "unexplained" (motion that the fit leaves at the mode), "positions" (errors that return
-        with the motion), "decays" (scatter between those of the record).
+        with the motion), "decays" (scatter between those of the record), "held" (a hand may hold the decay), "driven"
+        (it may be a drive).
     mean : tuple of (float, float), or None
         Value and standard deviation of frequency (Hz) and damping ratio over several decays, which the draws have.
     rate_sd_ppm : float

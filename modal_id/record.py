@@ -25,8 +25,8 @@ class Segment:
     note : str
         A sentence for the report.
     driven_probability : float
-        Posterior probability that the motion is driven and not free; before a stop, of a drive that stops there
-        (`Onset.confidence`); NaN where it was not asked.
+        Posterior probability that the motion is driven and not free; before a stop, that of the stop
+        (`Onset.confidence`) where it is lower; NaN where it was not asked.
     """
 
     kind: SegmentKind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -20,17 +20,18 @@ from modal_id.modes import (
     with_modes,
 )
 from modal_id.posterior import noise_level
-from modal_id.record import Segment
+from modal_id.record import Segment, SegmentKind
 from modal_id.results import DecayValue, Identification, IdentifiedMode
 from modal_id.segments import (
+    HELD_LEAST,
     PRIOR,
     PRIOR_AFTER_JUMP,
     PRIOR_BESIDE_A_DECAY,
     drive_probability,
-    held_odds,
     is_rather_driven,
     may_be_driven,
     no_onset,
+    pair_roles,
 )
 from modal_id.sentences import ModeFlag, Note, Reason
 from modal_id.settings import IdentifySettings
@@ -52,8 +53,10 @@ def modes_of_decays(
 
     Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
     """
-    kept = _without_held(decays)
-    segments = _as_disturbed(segments, [d for d in decays if all(d is not one for one in kept)], Note.HELD())
+    roles = _roles(decays)
+    doubts = {one.onset.time_s: role.doubt for one, role in zip(decays, roles, strict=True)}
+    segments = tuple(_in_role(s, decays, roles) for s in segments)
+    kept = tuple(one for one, role in zip(decays, roles, strict=True) if role.kind == "decay") or decays
     decays = tuple(one for one in kept if not grows(one))
     if not decays:
         return _driven(series, settings, used, kept[by_information(kept)[0]], segments)
@@ -75,11 +78,14 @@ def modes_of_decays(
         driven = _drive_probability(replace(target, target=True), main)
         segments = _with_probability(segments, main, driven)
     # A drift or a hum beside the decay stays in the list, with a flag.
-    modes = (
+    flagged = (
         _doubted(mode) if may_be_driven(max(driven, p)) else mode
         for p, mode in zip(probabilities, found.modes, strict=True)
     )
-    found = replace(found, modes=tuple(modes), segments=segments)
+    doubt = doubts[main.onset.time_s] if may_be_driven(driven) else 0.0
+    known = (_with_error(mode, "driven", doubt) if mode.target else mode for mode in flagged)
+    modes = tuple(maybe_held(known, segments, main.onset.fit_from_s))
+    found = replace(found, modes=modes, segments=segments)
     for k in order:
         if k != position and shows_more(decays[k], found):
             # draws of their own, and the same error of the frame rate
@@ -114,29 +120,54 @@ def _with_target(found: Identification, target: IdentifiedMode, settings: Identi
 
 
 def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool = True) -> float:
-    """Probability that a mode of a decay is a drive: 0 after the user's onset, and of a further mode of theory.
+    """Probability that a mode of a decay is a drive: 0 for a further mode of theory.
 
     With `beside`, another mode than the target has the prior of a motion beside one that decays.
     """
-    if one.onset.source == "user" or (mode.number is not None and not mode.target):
+    if mode.number is not None and not mode.target:
         return 0.0
-    after = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
-    prior = PRIOR_BESIDE_A_DECAY if beside and not mode.target else after
-    phase = 2.0 * np.pi * mode.frequency_hz * one.data.span_s
+    return _probability_of(mode, one, PRIOR_BESIDE_A_DECAY if beside and not mode.target else None)
+
+
+def _probability_of(value: IdentifiedMode | DecayValue, one: FittedDecay, prior: float | None) -> float:
+    """Probability that a motion with these values in a decay is a drive; 0 after the user's onset."""
+    if one.onset.source == "user":
+        return 0.0
+    if prior is None:
+        prior = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
+    phase = 2.0 * np.pi * value.frequency_hz * one.data.span_s
     # what the logarithm of the amplitude loses, and its sd
-    lost, sd = mode.damping_ratio * phase, mode.damping_ratio_sd * phase
+    lost, sd = value.damping_ratio * phase, value.damping_ratio_sd * phase
     return drive_probability(lost, sd, phase, prior)
 
 
-def _as_disturbed(
-    segments: tuple[Segment, ...], decays: Iterable[FittedDecay], note: str
-) -> tuple[Segment, ...]:
-    """The segments, with those of the given decays as disturbed."""
-    starts = {one.onset.time_s for one in decays}
-    return tuple(
-        replace(s, kind="disturbed", note=note) if s.kind == "decay" and s.start_s in starts else s
-        for s in segments
-    )
+def maybe_held(
+    modes: Iterable[IdentifiedMode], segments: Iterable[Segment], start_s: float
+) -> Iterator[IdentifiedMode]:
+    """Modes of a decay, flagged where a hand may hold it: if what is called driven before it is free.
+
+    Their damping ratio is then that of the hand, and far above that of the structure.
+    """
+    before = [s for s in segments if s.kind == "driven" and s.end_s <= start_s]
+    last = max(before, key=lambda s: s.end_s, default=None)
+    doubt = 0.0 if last is None else float(np.nan_to_num(1.0 - last.driven_probability, nan=1.0 - PRIOR))
+    for mode in modes:
+        if mode.damping_ratio > HELD_LEAST and may_be_driven(doubt):
+            wider = _with_error(mode, "held", float(np.sqrt(doubt)) * mode.damping_ratio)
+            yield wider.with_flags([ModeFlag.MAY_BE_HELD])
+        else:
+            yield mode
+
+
+def _with_error(mode: IdentifiedMode, cause: str, sd: float) -> IdentifiedMode:
+    """The mode with a further error of the damping ratio, if there is one."""
+    posterior, mean = mode.posterior, mode.posterior.mean
+    if sd == 0.0:
+        return mode
+    if mean is not None:
+        mean = mean[0], (mean[1][0], float(np.hypot(mean[1][1], sd)))
+    errors = {**posterior.errors, cause: (0.0, sd)}
+    return replace(mode, posterior=posterior.including(errors=errors, mean=mean))
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
@@ -162,18 +193,52 @@ def _driven(
     return replace(found, segments=steady)
 
 
-def _without_held(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
-    """Decays but those that are more probably held by a hand than free, beside an earlier one of the same motion."""
+@dataclass(frozen=True)
+class _Role:
+    """What a decay is beside the others of the same motion, with the probability that it is a drive where it is one.
+
+    ``doubt`` is the error of its damping ratio for the probability that it is a drive nonetheless.
+    """
+
+    kind: SegmentKind = "decay"
+    driven: float = float("nan")
+    doubt: float = 0.0
+
+
+def _roles(fitted: Sequence[FittedDecay]) -> list[_Role]:
+    """The role of each decay: free, driven, or held by a hand."""
     values = [_strongest_value(one) for one in fitted]
-    return tuple(
-        decay
-        for decay, one in zip(fitted, values, strict=True)
-        # the odds are 0 beside itself and later ones
-        if not any(
-            abs(free.damped_hz - one.damped_hz) < SAME_MOTION * one.damped_hz and held_odds(free, one) > 1.0
-            for free in values
-        )
-    )
+    found = [_Role()] * len(values)
+    for k, one in enumerate(values):
+        probability = _probability_of(one, fitted[k], None)
+        near = [j for j, other in enumerate(values) if _is_same(one, other) and j != k]
+        pairs = [pair_roles(one, values[j], probability) for j in near]
+        likeliest = [max(pair._fields, key=pair.__getattribute__) for pair in pairs]
+        # one that decays as another does is neither
+        if "earlier_driven" in likeliest and "free" not in likeliest:
+            pair = max(pairs, key=lambda pair: pair.earlier_driven)
+            found[k] = _Role("driven", pair.earlier_driven / (pair.earlier_driven + pair.later_held))
+            continue
+        for j, pair, role in zip(near, pairs, likeliest, strict=True):
+            if role != "later_held":
+                continue
+            found[j] = _Role("disturbed")
+            error = float(np.sqrt(pair.earlier_driven)) * abs(values[j].damping_ratio - one.damping_ratio)
+            found[k] = replace(found[k], doubt=max(found[k].doubt, error))
+    return found
+
+
+def _is_same(one: DecayValue, other: DecayValue) -> bool:
+    return abs(one.damped_hz - other.damped_hz) < SAME_MOTION * other.damped_hz
+
+
+def _in_role(segment: Segment, decays: Sequence[FittedDecay], roles: Sequence[_Role]) -> Segment:
+    """A decay's segment as what the decay is."""
+    for one, role in zip(decays, roles, strict=True):
+        if segment.kind == "decay" and segment.start_s == one.onset.time_s and role.kind != "decay":
+            note = Note.HELD() if role.kind == "disturbed" else Reason.STEADY.words
+            return replace(segment, kind=role.kind, note=note, driven_probability=role.driven)
+    return segment
 
 
 def _strongest_value(one: FittedDecay) -> DecayValue:

@@ -282,8 +282,9 @@ class ModeFlag(Enum):
         "it is known to be free."
     )
     MAY_BE_HELD = (
-        "The mode follows a drive after which no decay was recognised: a hand that stops the motion looks like strong "
-        "damping. The values are those of the structure only if nothing touched it."
+        "The mode follows a motion that may be free, or a drive whose end was not recognised: a hand that stops the "
+        "motion looks like strong damping. The interval of the damping ratio includes that doubt. The values are those "
+        "of the structure only if nothing touched it."
     )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     ADDED = (

@@ -10,11 +10,11 @@ from .drive_odds import PRIOR as PRIOR
 from .drive_odds import PRIOR_AFTER_JUMP as PRIOR_AFTER_JUMP
 from .drive_odds import PRIOR_BESIDE_A_DECAY as PRIOR_BESIDE_A_DECAY
 from .drive_odds import drive_probability as drive_probability
-from .drive_odds import held_odds as held_odds
 from .drive_odds import holds_a_decay as holds_a_decay
 from .drive_odds import is_driven_part as is_driven_part
 from .drive_odds import is_rather_driven as is_rather_driven
 from .drive_odds import may_be_driven as may_be_driven
+from .drive_odds import pair_roles as pair_roles
 from .events import find_events as find_events
 from .find_onset import changed_onset as changed_onset
 from .find_onset import from_largest_deflection as from_largest_deflection

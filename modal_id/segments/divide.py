@@ -9,7 +9,7 @@ import numpy as np
 
 from modal_id.data import FitData, detrended, rough_variance, without_spikes
 from modal_id.record import Onset, Segment, SegmentKind
-from modal_id.segments.change_point import ChangeSearch
+from modal_id.segments.change_point import ChangeSearch, DrivenThenFree
 from modal_id.segments.drive_odds import (
     PRIOR,
     PRIOR_AFTER_JUMP,
@@ -280,20 +280,37 @@ class _Division:
         near = self._places(part, following if driven or not long or follows is not None else None)
         if first is not None:
             near.append((part.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
+        steady_until_s = part.end_s
         for end_s, place in near:
+            change = self._change(begin_s, end_s, place)
+            if change is None:
+                continue
             # A pluck cuts a decay short; before anything else, a change so late is part of it.
             plucked = following is not None and _rises(following) and end_s <= part.end_s
             latest_s = end_s - (0.0 if plucked else TUNING.least_free_cycles / self.frequency_hz)
-            onset = self._stop(begin_s, end_s, prior, place, latest_s)
-            if onset is not None:
-                self._add("driven", begin_s, onset.time_s, onset.note, onset.confidence)
+            changes_s = begin_s + change.time_s
+            if changes_s > latest_s:
+                if long and changes_s > tail.time_s[0]:
+                    steady_until_s = min(steady_until_s, changes_s)
+            elif is_rather_driven(drives := self._drive_precedes(begin_s, end_s, prior, change)):
+                onset = self._onset(begin_s, end_s, change)
+                self._add("driven", begin_s, onset.time_s, onset.note, min(drives, onset.confidence))
                 self._decay(onset, end_s)
                 return end_s > part.end_s
+        if steady_until_s < part.end_s:
+            # what follows a change tells nothing of the motion before it
+            tail = self.thin.between(0.5 * (part.start_s + steady_until_s), steady_until_s)
+            probability = (
+                self._probability(tail, prior, None) if tail.time_s.size >= TUNING.least_rows else 0.0
+            )
         if is_driven_part(probability):
-            self._add("driven", part.start_s, part.end_s, Note.STEADY_AT(hz=self.frequency_hz), probability)
+            note = Note.STEADY_AT(hz=self.frequency_hz)
+            self._add("driven", part.start_s, steady_until_s, note, probability)
         else:
             # What is not known to be driven may tell its damping ratio, with a wide interval.
-            self._decay(self._start(part), part.end_s)
+            self._decay(self._start(part), steady_until_s)
+        if steady_until_s < part.end_s:
+            self._add("disturbed", steady_until_s, part.end_s, Note.CHANGES_AROUND())
         return False
 
     def _start(self, part: _Part) -> Onset:
@@ -323,22 +340,16 @@ class _Division:
             found = [] if one is None else [one.later(start_s)]
         return [one.place for one in found]
 
-    def _stop(
-        self, start_s: float, end_s: float, prior: float, place: ChangeSearch, latest_s: float
-    ) -> Onset | None:
-        """Onset where a drive ends between two times, where a change is known or looked for, at the latest then."""
+    def _change(self, start_s: float, end_s: float, place: ChangeSearch) -> DrivenThenFree | None:
+        """Where a drive may end between two times, where a change is known or looked for; relative to the first."""
         place = replace(place, time_s=place.time_s - start_s)
         samples = self.data.between(start_s, end_s)
-        hz, lowest_hz = self.tones.wanted_hz, self.lowest_hz
-        change = drive_then_decay(samples, self.variance, hz, self.base, place)
-        if change is None or start_s + change.time_s > latest_s:
-            return None
-        changes_s = start_s + change.time_s
-        driving = _Part(start_s, changes_s, None)
-        free = _Part(changes_s + settling_s(hz, samples.step_s, change.sd_s, end_s - changes_s), end_s, None)
-        if not self._drive_precedes(driving, free, prior):
-            return None
-        return _shifted(stop_of_shaking(samples, change, hz, lowest_hz, self.base), start_s)
+        return drive_then_decay(samples, self.variance, self.tones.wanted_hz, self.base, place)
+
+    def _onset(self, start_s: float, end_s: float, change: DrivenThenFree) -> Onset:
+        """Onset where a drive ends between two times, at a known change."""
+        samples, hz = self.data.between(start_s, end_s), self.tones.wanted_hz
+        return _shifted(stop_of_shaking(samples, change, hz, self.lowest_hz, self.base), start_s)
 
     def _probability(self, late: FitData, prior: float, follows: _Part | None) -> float:
         """Probability that samples are driven, from what follows them as well."""
@@ -346,15 +357,20 @@ class _Division:
         after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)
 
-    def _drive_precedes(self, part: _Part, follows: _Part, prior: float) -> bool:
-        """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
-        late = self.thin.between(0.5 * (part.start_s + part.end_s), part.end_s)
-        few = (part.end_s - part.start_s) * self.frequency_hz < 2.0 * TUNING.least_cycles
-        if few or late.time_s.size < TUNING.least_rows:
-            return True
-        if not is_rather_driven(self._probability(late, prior, follows)):
-            return False
-        return not decays(self.thin.between(part.start_s, part.end_s), self.frequency_hz, self.lowest_hz)
+    def _drive_precedes(self, start_s: float, end_s: float, prior: float, change: DrivenThenFree) -> float:
+        """Probability of a drive in the latter half, when the transient of its start is over, or in a few cycles.
+
+        0 for a decay; 1 where there are too few samples to tell.
+        """
+        step_s, changes_s = self.data.step_s, start_s + change.time_s
+        few = change.time_s * self.frequency_hz < 2.0 * TUNING.least_cycles
+        late = self.thin.between(start_s if few else 0.5 * (start_s + changes_s), changes_s)
+        if late.time_s.size < TUNING.least_rows:
+            return 1.0
+        if not few and decays(self.thin.between(start_s, changes_s), self.frequency_hz, self.lowest_hz):
+            return 0.0
+        settled_s = changes_s + settling_s(self.tones.wanted_hz, step_s, change.sd_s, end_s - changes_s)
+        return self._probability(late, prior, _Part(settled_s, end_s, None))
 
     def _at_rest(self, part: _Part) -> bool:
         if self.rest_until_s is not None and part.end_s <= self.rest_until_s:

@@ -209,7 +209,7 @@ def test_a_slow_decay_whose_loss_is_known_is_free():
 
 
 @pytest.mark.parametrize("sd", [0.001, pytest.param(0.005, marks=pytest.mark.slow)])
-def test_a_motion_that_is_over_two_cycles_after_a_drive_is_a_decay_that_a_hand_may_imitate(sd):
+def test_a_motion_that_is_over_two_cycles_after_a_long_drive_is_a_decay(sd):
     """Driven at 9.5 Hz for 5 s, then 10 Hz with a damping ratio of .3: a thousandth is left after 0.37 s."""
     t = np.arange(550) / 55.0
     phase = 2.0 * np.pi * 9.5 * 5.0
@@ -220,6 +220,7 @@ def test_a_motion_that_is_over_two_cycles_after_a_drive_is_a_decay_that_a_hand_m
     assert [s.kind for s in found.segments] == ["driven", "decay"]
     assert found.onset.time_s == pytest.approx(5.0, abs=0.05)
     mode = found.target
-    assert "MAY_BE_HELD" in mode.wrong_flags
+    assert found.segments[0].driven_probability > 0.95, "24 cycles keep their amplitude to 1e-3"
+    assert "MAY_BE_HELD" not in mode.flags
     assert np.max(np.abs(in_sd(mode, 10.0, 0.3))) < 4.0, mode
     assert mode.damping_ratio_sd < 0.01, "25 samples of the motion with that noise give one of .0003 to .002"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import cauchy, norm
@@ -12,6 +12,8 @@ from modal_id.segments import drive_probability, is_driven_part, may_be_driven
 # Widths, limits and other constants that the description of the function states.
 DRIVE_CHANGES, LOG_ZETA = np.array([0.0005, 0.005]), np.linspace(np.log(1e-5), np.log(0.5), 200_001)
 LOG_RANGE = LOG_ZETA[-1] - LOG_ZETA[0]
+# Shares of free motions and of drives that grow, by a half-normal amount with this standard deviation.
+GROWS, DRIVE_GROWS, GROWTH_SD = 0.02, 0.2, 0.3
 
 
 def densities(change, sd, radians, after=1.0):
@@ -22,8 +24,13 @@ def densities(change, sd, radians, after=1.0):
         return norm.pdf(change, true, sd) * np.mean(cauchy.pdf(true, 0.0, DRIVE_CHANGES))
 
     driven = quad(product, near[0], near[-1], points=near[1:-1], limit=200)[0]
-    free = np.trapezoid(norm.pdf(change, np.exp(LOG_ZETA) * radians, sd) * after, LOG_ZETA)
-    return driven, free / LOG_RANGE
+    free = np.trapezoid(norm.pdf(change, np.exp(LOG_ZETA) * radians, sd) * after, LOG_ZETA) / LOG_RANGE
+    grown = np.linspace(-3.0, 0.0, 200_001)
+    grows = np.trapezoid(norm.pdf(change, grown, sd) * 2.0 * norm.pdf(grown, 0.0, GROWTH_SD), grown)
+    # what follows a motion that grows is any motion
+    grows *= 1.0 if np.ndim(after) == 0 else 1.0 / LOG_RANGE
+    driven *= 1.0 if np.ndim(after) == 0 else 1.0 / LOG_RANGE
+    return (1.0 - DRIVE_GROWS) * driven + DRIVE_GROWS * grows, (1.0 - GROWS) * free + GROWS * grows
 
 
 @pytest.mark.parametrize("change", [-0.05, 0.0, 0.01, 0.03, 0.3])
@@ -41,9 +48,9 @@ def test_what_follows_a_change_is_evidence_too(change, follows):
     """Both hypotheses with the damping ratio after the change; the prior is 0.5."""
     least = np.maximum(1.5 * np.exp(LOG_ZETA), 0.01)
     held = np.where((follows > least) & (follows < 0.7), 1.0 / np.log(0.7 / np.minimum(least, 0.69)), 0.0)
-    after = 0.4 * norm.pdf(np.log(follows), LOG_ZETA, 0.3) + 0.4 * held + 0.2 / LOG_RANGE
+    after = 0.8 * (0.9 * norm.pdf(np.log(follows), LOG_ZETA, 0.3) + 0.1 * held) + 0.2 / LOG_RANGE
     driven, free = densities(change, 0.01, 100.0, after)
-    expected = driven / (driven + free * LOG_RANGE)
+    expected = driven / (driven + free)
     assert drive_probability(change, 0.01, 100.0, follows=follows) == pytest.approx(expected, abs=0.01)
 
 
@@ -65,8 +72,14 @@ def test_what_is_lost_precisely_is_a_decay_and_what_is_kept_a_drive():
 
 @given(st.floats(-0.5, 1.0), st.floats(1e-4, 0.09), st.floats(1.0, 1e4))
 def test_a_growing_motion_is_no_more_free_than_a_decaying_one(change, sd, radians):
+    assume(2e-5 * radians < abs(change) < 0.4 * radians)  # the damping ratio of a structure
     grown, lost = (drive_probability(sign * abs(change), sd, radians) for sign in (-1.0, 1.0))
     assert 0.0 <= lost <= grown + 1e-12 <= 1.0 + 1e-11
+
+
+def test_a_motion_that_doubles_is_neither_a_steady_drive_nor_a_decay():
+    """Half of the beat of two modes, or a drive that is tuned: the odds are those of growth, 0.2 to 0.02."""
+    assert drive_probability(-0.7, 0.05, 23.0) == pytest.approx(0.2 / 0.22, abs=0.01)
 
 
 @pytest.mark.parametrize("values", [(0.0, 0.2, 60.0), (float("nan"), 0.01, 60.0), (0.0, float("inf"), 60.0)])
