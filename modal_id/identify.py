@@ -222,7 +222,7 @@ def _after_drive(
     after = _identified(series, used, parts, own, lowest_hz, whole=False)
     if not isinstance(after, Identification) or after.target is None or after.target.wrong_flags:
         return None
-    modes = maybe_held(after.modes, before, begin_s)
+    modes = maybe_held(after.modes, before, after.onset)
     segments = [s for s in before if s.end_s <= begin_s] + [s for s in after.segments if s.start_s >= begin_s]
     return replace(after, modes=tuple(modes), segments=tuple(segments))
 

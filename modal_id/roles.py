@@ -20,7 +20,7 @@ from modal_id.modes import (
     with_modes,
 )
 from modal_id.posterior import noise_level
-from modal_id.record import Segment, SegmentKind
+from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.results import DecayValue, Identification, IdentifiedMode
 from modal_id.segments import (
     HELD_LEAST,
@@ -84,7 +84,7 @@ def modes_of_decays(
     )
     doubt = doubts[main.onset.time_s] if may_be_driven(driven) else 0.0
     known = (_with_error(mode, "driven", doubt) if mode.target else mode for mode in flagged)
-    modes = tuple(maybe_held(known, segments, main.onset.fit_from_s))
+    modes = tuple(maybe_held(known, segments, main.onset))
     found = replace(found, modes=modes, segments=segments)
     for k in order:
         if k != position and shows_more(decays[k], found):
@@ -142,14 +142,14 @@ def _probability_of(value: IdentifiedMode | DecayValue, one: FittedDecay, prior:
 
 
 def maybe_held(
-    modes: Iterable[IdentifiedMode], segments: Iterable[Segment], start_s: float
+    modes: Iterable[IdentifiedMode], segments: Iterable[Segment], onset: Onset
 ) -> Iterator[IdentifiedMode]:
     """Modes of a decay, flagged where a hand may hold it: if what is called driven before it is free.
 
-    Their damping ratio is then that of the hand, and far above that of the structure.
+    Their damping ratio is then that of the hand, and far above that of the structure. No hand holds what is plucked.
     """
-    before = [s for s in segments if s.kind == "driven" and s.end_s <= start_s]
-    last = max(before, key=lambda s: s.end_s, default=None)
+    before = [s for s in segments if s.kind == "driven" and s.end_s <= onset.fit_from_s]
+    last = None if onset.source == "peak" else max(before, key=lambda s: s.end_s, default=None)
     doubt = 0.0 if last is None else float(np.nan_to_num(1.0 - last.driven_probability, nan=1.0 - PRIOR))
     for mode in modes:
         if mode.damping_ratio > HELD_LEAST and may_be_driven(doubt):
