@@ -206,7 +206,7 @@ def _identified(
 def _after_drive(
     found: Identification, settings: IdentifySettings, lowest_hz: float
 ) -> Identification | None:
-    """Modes of what follows the last drive, free from its start on; None where the target is missing or doubtful."""
+    """Modes of what follows the last drive, free from its start on; None where the target is missing or wrong."""
     series, before = found.series, found.segments
     begin_s = max((s.end_s for s in before if s.kind == "driven"), default=float(series.time_s[-1]))
     own = settings.model_copy(update={"onset_s": begin_s})
