@@ -9,8 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data import FitData, Prepared, are_many, listed, outlier_share
-from modal_id.fit import ModalFit, StabilityDiagram, fit_amplitude_dependence, nyquist_hz, stability_diagram
-from modal_id.fit_decays import mean_scatter_rad_s
+from modal_id.fit import (
+    ModalFit,
+    StabilityDiagram,
+    fit_amplitude_dependence,
+    mean_scatter_rad_s,
+    nyquist_hz,
+    stability_diagram,
+)
 from modal_id.modes import (
     Conversion,
     FittedDecay,

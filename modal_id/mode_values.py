@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Separates the random stream of the frame rate from those of modes and ensembles.
 _RATE_STREAM = 0xF75
+# Errors that a mean over several decays does not include.
+_ROLES = ("held", "driven")
 
 
 # Errors beside the noise, by their cause: the standard deviations of the frequency in Hz and of the damping ratio.
@@ -97,7 +99,8 @@ class Posterior(Table):
         with the motion), "decays" (scatter between those of the record), "held" (a hand may hold the decay), "driven"
         (it may be a drive).
     mean : tuple of (float, float), or None
-        Value and standard deviation of frequency (Hz) and damping ratio over several decays, which the draws have.
+        Value and standard deviation of frequency (Hz) and damping ratio over several decays, which the draws have, the
+        errors "held" and "driven" beside it.
     rate_sd_ppm : float
         Relative standard deviation of the frame rate in parts per million, which the draws of the frequency include:
         one factor in each draw, the same for all modes of a recording.
@@ -171,8 +174,10 @@ class Posterior(Table):
                 rng = np.random.default_rng(np.random.SeedSequence(self.seed[0], spawn_key=key))
                 frequency_hz, zeta = _widened(frequency_hz, zeta, extra_sd, rng)
             if mean is not None:
+                doubts = (sd for cause, (_, sd) in errors.items() if cause in _ROLES)
+                sd = float(np.linalg.norm([mean[1][1], *doubts]))
                 # Reflected at zero: damping ratios stay positive.
-                frequency_hz, zeta = _moved(frequency_hz, *mean[0]), np.abs(_moved(zeta, *mean[1]))
+                frequency_hz, zeta = _moved(frequency_hz, *mean[0]), np.abs(_moved(zeta, mean[1][0], sd))
         one = replace(
             self, frequency_hz=frequency_hz, damping_ratio=zeta, errors=errors, mean=mean, rate_sd_ppm=ppm
         )

@@ -23,15 +23,17 @@ from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.results import DecayValue, Identification, IdentifiedMode
 from modal_id.segments import (
+    HAND,
     HELD_LEAST,
+    LOUDER,
     PRIOR,
     PRIOR_AFTER_JUMP,
     PRIOR_BESIDE_A_DECAY,
-    drive_probability,
+    Roles,
     is_rather_driven,
     may_be_driven,
     no_onset,
-    pair_roles,
+    roles_of,
 )
 from modal_id.sentences import ModeFlag, Note, Reason
 from modal_id.settings import IdentifySettings
@@ -54,7 +56,7 @@ def modes_of_decays(
     Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
     """
     roles = _roles(decays)
-    doubts = {one.onset.time_s: role.doubt for one, role in zip(decays, roles, strict=True)}
+    of_onset = {one.onset.time_s: role for one, role in zip(decays, roles, strict=True)}
     segments = tuple(_in_role(s, decays, roles) for s in segments)
     kept = tuple(one for one, role in zip(decays, roles, strict=True) if role.kind == "decay") or decays
     decays = tuple(one for one in kept if not grows(one))
@@ -82,9 +84,10 @@ def modes_of_decays(
         _doubted(mode) if may_be_driven(max(driven, p)) else mode
         for p, mode in zip(probabilities, found.modes, strict=True)
     )
-    doubt = doubts[main.onset.time_s] if may_be_driven(driven) else 0.0
+    role = of_onset[main.onset.time_s]
+    doubt = role.doubt if may_be_driven(driven) else 0.0
     known = (_with_error(mode, "driven", doubt) if mode.target else mode for mode in flagged)
-    modes = tuple(maybe_held(known, segments, main.onset))
+    modes = tuple(maybe_held(known, segments, main.onset, role.held))
     found = replace(found, modes=modes, segments=segments)
     for k in order:
         if k != position and shows_more(decays[k], found):
@@ -126,31 +129,45 @@ def _drive_probability(mode: IdentifiedMode, one: FittedDecay, *, beside: bool =
     """
     if mode.number is not None and not mode.target:
         return 0.0
-    return _probability_of(mode, one, PRIOR_BESIDE_A_DECAY if beside and not mode.target else None)
+    return _roles_of(mode, one, PRIOR_BESIDE_A_DECAY if beside and not mode.target else None).driven
 
 
-def _probability_of(value: IdentifiedMode | DecayValue, one: FittedDecay, prior: float | None) -> float:
-    """Probability that a motion with these values in a decay is a drive; 0 after the user's onset."""
+def _roles_of(
+    value: IdentifiedMode | DecayValue,
+    one: FittedDecay,
+    prior: float | None = None,
+    after: tuple[float, float] | None = None,
+) -> Roles:
+    """What a motion with these values in a decay is, and what follows it; no drive after the user's onset."""
     if one.onset.source == "user":
-        return 0.0
+        prior = 0.0
     if prior is None:
         prior = PRIOR_AFTER_JUMP if one.onset.source == "peak" else PRIOR
     phase = 2.0 * np.pi * value.frequency_hz * one.data.span_s
     # what the logarithm of the amplitude loses, and its sd
     lost, sd = value.damping_ratio * phase, value.damping_ratio_sd * phase
-    return drive_probability(lost, sd, phase, prior)
+    return roles_of(lost, sd, phase, prior, after)
 
 
 def maybe_held(
-    modes: Iterable[IdentifiedMode], segments: Iterable[Segment], onset: Onset
+    modes: Iterable[IdentifiedMode], segments: Iterable[Segment], onset: Onset, held: float | None = None
 ) -> Iterator[IdentifiedMode]:
-    """Modes of a decay, flagged where a hand may hold it: if what is called driven before it is free.
+    """Modes of a decay, flagged where a hand may hold it: if what is called driven before it is free, or by `held`.
 
-    Their damping ratio is then that of the hand, and far above that of the structure. No hand holds what is plucked.
+    Their damping ratio is then that of the hand, and far above that of the structure. No hand holds what is plucked,
+    nor a decay of which a mode is known to be free. `held` is the probability by an earlier decay; without one, and
+    without a drive, a motion that goes on may be held.
     """
-    before = [s for s in segments if s.kind == "driven" and s.end_s <= onset.fit_from_s]
-    last = None if onset.source == "peak" else max(before, key=lambda s: s.end_s, default=None)
-    doubt = 0.0 if last is None else float(np.nan_to_num(1.0 - last.driven_probability, nan=1.0 - PRIOR))
+    modes = tuple(modes)
+    doubts = [] if held is None else [held]
+    driven = [s for s in segments if s.kind == "driven" and s.end_s <= onset.fit_from_s]
+    if driven:
+        last = max(driven, key=lambda s: s.end_s)
+        doubts.append(float(np.nan_to_num(1.0 - last.driven_probability, nan=1.0 - PRIOR)))
+    if not doubts and onset.source == "interruption":
+        doubts.append(HAND)
+    free = any(m.damping_ratio + 2.0 * m.damping_ratio_sd < HELD_LEAST and not m.wrong_flags for m in modes)
+    doubt = 0.0 if free or onset.source == "peak" else max(doubts, default=0.0)
     for mode in modes:
         if mode.damping_ratio > HELD_LEAST and may_be_driven(doubt):
             wider = _with_error(mode, "held", float(np.sqrt(doubt)) * mode.damping_ratio)
@@ -161,13 +178,10 @@ def maybe_held(
 
 def _with_error(mode: IdentifiedMode, cause: str, sd: float) -> IdentifiedMode:
     """The mode with a further error of the damping ratio, if there is one."""
-    posterior, mean = mode.posterior, mode.posterior.mean
     if sd == 0.0:
         return mode
-    if mean is not None:
-        mean = mean[0], (mean[1][0], float(np.hypot(mean[1][1], sd)))
-    errors = {**posterior.errors, cause: (0.0, sd)}
-    return replace(mode, posterior=posterior.including(errors=errors, mean=mean))
+    errors = {**mode.posterior.errors, cause: (0.0, sd)}
+    return replace(mode, posterior=mode.posterior.including(errors=errors))
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
@@ -197,12 +211,14 @@ def _driven(
 class _Role:
     """What a decay is beside the others of the same motion, with the probability that it is a drive where it is one.
 
-    ``doubt`` is the error of its damping ratio for the probability that it is a drive nonetheless.
+    ``doubt`` is the error of its damping ratio for the probability that it is a drive nonetheless, ``held`` the
+    probability that a hand holds it, by the earlier decays; None without one.
     """
 
     kind: SegmentKind = "decay"
     driven: float = float("nan")
     doubt: float = 0.0
+    held: float | None = None
 
 
 def _roles(fitted: Sequence[FittedDecay]) -> list[_Role]:
@@ -210,22 +226,35 @@ def _roles(fitted: Sequence[FittedDecay]) -> list[_Role]:
     values = [_strongest_value(one) for one in fitted]
     found = [_Role()] * len(values)
     for k, one in enumerate(values):
-        probability = _probability_of(one, fitted[k], None)
-        near = [j for j, other in enumerate(values) if _is_same(one, other) and j != k]
-        pairs = [pair_roles(one, values[j], probability) for j in near]
-        likeliest = [max(pair._fields, key=pair.__getattribute__) for pair in pairs]
-        # one that decays as another does is neither
-        if "earlier_driven" in likeliest and "free" not in likeliest:
-            pair = max(pairs, key=lambda pair: pair.earlier_driven)
-            found[k] = _Role("driven", pair.earlier_driven / (pair.earlier_driven + pair.later_held))
+        if found[k].kind != "decay":
             continue
-        for j, pair, role in zip(near, pairs, likeliest, strict=True):
-            if role != "later_held":
-                continue
-            found[j] = _Role("disturbed")
-            error = float(np.sqrt(pair.earlier_driven)) * abs(values[j].damping_ratio - one.damping_ratio)
-            found[k] = replace(found[k], doubt=max(found[k].doubt, error))
+        near = [j for j, other in enumerate(values) if _is_same(one, other) and j != k]
+        pairs = [_pair(one, fitted[k], values[j]) for j in near]
+        likeliest = [pair.likeliest for pair in pairs]
+        # one that decays as another does is neither
+        if "driven" in likeliest and "free" not in likeliest:
+            pair = max(pairs, key=lambda pair: pair.driven)
+            found[k] = _Role("driven", pair.driven / (pair.driven + pair.held))
+            continue
+        for j, pair in zip(near, pairs, strict=True):
+            if values[j].start_s >= one.start_s:
+                found[j] = replace(found[j], held=max(found[j].held or 0.0, pair.held))
+            if pair.likeliest == "held":
+                found[j] = _Role("disturbed")
+                error = float(np.sqrt(pair.driven)) * abs(values[j].damping_ratio - one.damping_ratio)
+                found[k] = replace(found[k], doubt=max(found[k].doubt, error))
     return found
+
+
+def _pair(one: DecayValue, decay: FittedDecay, other: DecayValue) -> Roles:
+    """What a decay and another of the same motion are: free where the other is earlier, larger or grows.
+
+    Damping that depends on the amplitude is as likely a cause where it is larger.
+    """
+    after = other.start_s >= one.start_s and other.amplitude < LOUDER * one.amplitude
+    if not (after and other.damping_ratio > 0.0):
+        return Roles(1.0, 0.0, 0.0)
+    return _roles_of(one, decay, after=(other.damping_ratio, other.damping_ratio_sd))
 
 
 def _is_same(one: DecayValue, other: DecayValue) -> bool:

@@ -34,5 +34,7 @@ from .spectrum import mean_per_median as mean_per_median
 from .spectrum import nyquist_hz as nyquist_hz
 from .spectrum import power_spectrum as power_spectrum
 from .spectrum import residual_spectrum as residual_spectrum
+from .spread import mean_scatter_rad_s as mean_scatter_rad_s
+from .spread import with_spread as with_spread
 from .subspace import StabilityDiagram as StabilityDiagram
 from .subspace import stability_diagram as stability_diagram

@@ -44,21 +44,11 @@ class Tuning:
     max_channels: int = 4
     #: [samples] fewest samples of a side
     least_samples: int = 8
-    #: [1] largest decay rate of the driven amplitude over that of the free decay
-    #: convention: Free motion whose damping depends on the amplitude decays faster.
-    driven_decay: float = 0.1
-    #: [sd] the same in standard deviations
+    #: [sd] least difference of the rates before and after
     #: statistics: 0.3 % of steady drives exceed it.
     rate_sd: float = 3.0
     #: [cycles] least driven motion
     least_driven_cycles: float = 2.0
-    #: [cycles] driven cycles below which their rate must be known well
-    few_driven_cycles: float = 3.0
-    #: [1] largest `rate_sd` standard deviations of that rate, over the rate of the free decay
-    few_driven_sd: float = 0.5
-    #: [1] largest logarithm of the ratio of the drive's frequency to the dominant one, either way
-    #: convention: A factor of 1.5.
-    drive_near: float = 0.4
 
 
 TUNING = Tuning()
@@ -280,9 +270,10 @@ def driven_then_free(
         return None
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
-    if not _settled(thin, time, frequency_hz, best.free):
+    drive_hz = abs(float(best.driven.poles[0].imag)) / (2.0 * np.pi)
+    if time * drive_hz < TUNING.least_driven_cycles:
         probability = 0.0
-    return DrivenThenFree(time, sd, probability, abs(best.driven.poles[0].imag) / (2.0 * np.pi))
+    return DrivenThenFree(time, sd, probability, drive_hz)
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
@@ -333,25 +324,6 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
     extra = 3.0 + 3.0 * channels
     gain = samples * np.log(one / split.misfit) - extra * np.log(samples)
     return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
-
-
-def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -> bool:
-    """Whether the motion in the latter half before the change is steady."""
-    cycles = time_s * frequency_hz
-    if cycles < TUNING.least_driven_cycles:
-        return False
-    late = (data.time_s >= 0.5 * time_s) & (data.time_s < time_s)
-    fit = _segment(data, late, frequency_hz)
-    if fit is None:
-        return False
-    rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
-    drive_hz = abs(float(fit.poles[0].imag)) / (2.0 * np.pi)
-    if abs(np.log(max(drive_hz, 1e-300) / frequency_hz)) > TUNING.drive_near:
-        return False
-    decay = float(free.poles[0].real)
-    if cycles < TUNING.few_driven_cycles and TUNING.rate_sd * sd > -TUNING.few_driven_sd * decay:
-        return False
-    return rate > TUNING.driven_decay * decay - TUNING.rate_sd * sd
 
 
 def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:

@@ -273,11 +273,11 @@ class _Division:
         moves = following is not None and not self._at_rest(following)
         follows = following if moves and following is not None and not _rises(following) else None
         probability = self._probability(tail, prior, follows) if long else 0.0
-        driven = is_rather_driven(probability)
         # Where a record begins with too few cycles for a motion, a drive may be part of the first event.
         first = event if event is not None and event.start_s <= self.thin.time_s[0] else None
         begin_s = part.start_s if first is None else first.start_s
-        near = self._places(part, following if driven or not long or follows is not None else None)
+        late = is_rather_driven(probability) or not long or follows is not None
+        near = self._places(part, following if late else None)
         if first is not None:
             near.append((part.end_s, replace(first.place, reach_s=first.end_s - first.start_s)))
         steady_until_s = part.end_s
@@ -289,20 +289,20 @@ class _Division:
             plucked = following is not None and _rises(following) and end_s <= part.end_s
             latest_s = end_s - (0.0 if plucked else TUNING.least_free_cycles / self.frequency_hz)
             changes_s = begin_s + change.time_s
-            if changes_s > latest_s:
-                if long and changes_s > tail.time_s[0]:
-                    steady_until_s = min(steady_until_s, changes_s)
-            elif is_rather_driven(drives := self._drive_precedes(begin_s, end_s, prior, change)):
+            drives = self._drive_precedes(begin_s, end_s, prior, change)
+            if not is_rather_driven(drives):
+                continue
+            if changes_s <= latest_s:
                 onset = self._onset(begin_s, end_s, change)
                 self._add("driven", begin_s, onset.time_s, onset.note, min(drives, onset.confidence))
                 self._decay(onset, end_s)
                 return end_s > part.end_s
+            if long and changes_s > tail.time_s[0]:
+                steady_until_s = min(steady_until_s, changes_s)
         if steady_until_s < part.end_s:
             # what follows a change tells nothing of the motion before it
             tail = self.thin.between(0.5 * (part.start_s + steady_until_s), steady_until_s)
-            probability = (
-                self._probability(tail, prior, None) if tail.time_s.size >= TUNING.least_rows else 0.0
-            )
+            probability = self._probability(tail, prior, None)
         if is_driven_part(probability):
             note = Note.STEADY_AT(hz=self.frequency_hz)
             self._add("driven", part.start_s, steady_until_s, note, probability)
@@ -352,7 +352,9 @@ class _Division:
         return _shifted(stop_of_shaking(samples, change, hz, self.lowest_hz, self.base), start_s)
 
     def _probability(self, late: FitData, prior: float, follows: _Part | None) -> float:
-        """Probability that samples are driven, from what follows them as well."""
+        """Probability that samples are driven, from what follows them as well; 0 for too few."""
+        if late.time_s.size < TUNING.least_rows:
+            return 0.0
         after = None if follows is None else self.thin.between(follows.start_s, follows.end_s)
         after = after if after is not None and after.time_s.size >= TUNING.least_rows else None
         return probability_of_drive(late, self.frequency_hz, self.lowest_hz, prior, after)

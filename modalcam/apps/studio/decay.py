@@ -20,7 +20,7 @@ from modal_id import (
     identify_free_decay,
 )
 from modal_id.fit import nyquist_hz
-from modal_id.segments import drive_probability, may_be_driven
+from modal_id.segments import may_be_driven, roles_of
 from modal_id.solve import frequency_hz, mode_functions, pole
 from modalcam.common import InputError
 from modalcam.config import RecordingConfig
@@ -228,7 +228,7 @@ def _drive_probability(mode: FoundMode, length_s: float) -> float:
     radians = 2.0 * np.pi * mode.frequency_hz * length_s
     # the sd of a normal density with this 90 % interval
     sd = (mode.interval[1] - mode.interval[0]) / (2.0 * INTERVAL_SD)
-    return drive_probability(mode.damping_ratio * radians, sd * radians, radians)
+    return roles_of(mode.damping_ratio * radians, sd * radians, radians).driven
 
 
 def stabilisation(found: Identification) -> tuple[Pole, ...]:
