@@ -9,7 +9,7 @@ import numpy as np
 from modal_id.ambient.bands import TUNING as BANDS
 from modal_id.ambient.bands import Band, Peak, Tail, band_data, bands_of, find_peaks_of, singular_values
 from modal_id.ambient.model import WIDEST, BandFit, spectrum
-from modal_id.ambient.order import WIDTHS, Order, choose_order, shares
+from modal_id.ambient.order import WIDTHS, choose_order, misfit, shares
 from modal_id.ambient.spectrum import Spectrum, not_stationary, spectrum_of, variance
 from modal_id.data import Prepared
 from modal_id.fit import SAME_LINE, nyquist_hz, stability_diagram
@@ -89,14 +89,13 @@ TUNING = Tuning()
 
 @dataclass(frozen=True)
 class _Found:
-    """One mode of a band: f in Hz, zeta, their covariance as logarithms, shape and its sd (k,), ln odds, the band."""
+    """One mode of a band: f in Hz, zeta, their covariance as logarithms, shape and its sd (k,), the band."""
 
     frequency_hz: float
     damping_ratio: float
     covariance: FloatArray
     shape: FloatArray
     shape_sd: FloatArray
-    log_odds: float
     band: Band
     misfit: float
 
@@ -133,7 +132,7 @@ def identify_ambient(
     found, fitted, lines_hz = _bands(found)
     failed = [FailedMode.of(Reason.LINE(hz=hz), hz) for hz in lines_hz]
     modes = [
-        _mode(found, one.band, one.order.fit, index, one.order.log_odds[index], one.order.misfit)
+        _mode(found, one.band, one.fit, index)
         for one in fitted
         for index in np.flatnonzero(one.stands_out & one.fits_in).tolist()
     ]
@@ -158,12 +157,12 @@ class _Fitted:
     """A band with its modes: which of them stand out, and whether the band is wide enough for each, shape (m,)."""
 
     band: Band
-    order: Order
+    fit: BandFit
     tails: tuple[Tail, ...]
 
     @property
     def stands_out(self) -> BoolArray:
-        return shares(self.order.fit) > TUNING.least_share
+        return shares(self.fit) > TUNING.least_share
 
     @property
     def fits_in(self) -> BoolArray:
@@ -172,13 +171,13 @@ class _Fitted:
 
     @property
     def peaks(self) -> list[Peak]:
-        model = self.order.fit.model
+        model = self.fit.model
         hz, half_hz = np.exp(model.log_hz).tolist(), np.exp(model.log_hz + model.log_zeta).tolist()
         return [Peak(f, half, 0.0) for f, half in zip(hz, half_hz, strict=True)]
 
     def tail(self, index: int) -> Tail:
         """The mode with this index, for the bands beside."""
-        fit, peak = self.order.fit, self.peaks[index]
+        fit, peak = self.fit, self.peaks[index]
         shape = fit.data.directions @ fit.model.shapes[:, index]
         return Tail(peak.frequency_hz, peak.half_width_hz / peak.frequency_hz, shape)
 
@@ -207,7 +206,7 @@ def _bands(found: Spectrum) -> tuple[Spectrum, list[_Fitted], list[float]]:
         for one in fitted:
             # A response as wide as its band allows is the mode itself in too narrow a band, or the background: a
             # second one is tried once in a wider band.
-            kept = one.stands_out & (one.fits_in | (one.order.fit.model.count == 1) | wide)
+            kept = one.stands_out & (one.fits_in | (one.fit.model.count == 1) | wide)
             for index in np.flatnonzero(kept).tolist():
                 peak = one.peaks[index]
                 if 2.0 * np.pi * peak.half_width_hz * found.span_s < TUNING.least_turns:
@@ -240,14 +239,14 @@ def _fitted(found: Spectrum, band: Band, tails: tuple[Tail, ...] = ()) -> _Fitte
     known = [(peak.frequency_hz, peak.half_width_hz) for peak in band.peaks]
     data = band_data(found, band, known, tails)
     log_places = max(float(np.log(found.frequency_hz[-1] / (band.high_hz - band.low_hz))), 0.0)
-    order = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
-    if order.fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
+    fit = choose_order(data, (band.low_hz, band.high_hz), known, log_places)
+    if fit.model.count == 0 and len(known) == 1 and band.peaks[0].strength > 0.0:
         wider = band.peaks[0]._replace(half_width_hz=WIDTHS * band.peaks[0].half_width_hz, strength=0.0)
         return _fitted(found, bands_of(found, [wider])[0], tails)
-    return _Fitted(band, order, tails)
+    return _Fitted(band, fit, tails)
 
 
-def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float, misfit: float) -> _Found:
+def _mode(found: Spectrum, band: Band, fit: BandFit, index: int) -> _Found:
     model, covariance, directions = fit.model, fit.covariance, fit.data.directions
     m, r = model.count, model.exponents.size
     own = [index, m + index]
@@ -275,9 +274,8 @@ def _mode(found: Spectrum, band: Band, fit: BandFit, index: int, log_odds: float
         own_covariance,
         size * shape,
         size * np.sqrt(within + beyond),
-        log_odds,
         band,
-        misfit,
+        misfit(fit),
     )
 
 
@@ -431,8 +429,8 @@ def _spectral_bands(fitted: list[_Fitted], modes: list[_Found]) -> tuple[Ambient
         AmbientBand(
             one.band.low_hz,
             one.band.high_hz,
-            one.order.fit.data.frequency_hz,
-            _largest(one.order.fit),
+            one.fit.data.frequency_hz,
+            _largest(one.fit),
             sum(mode.band == one.band for mode in modes),
         )
         for one in fitted

@@ -55,23 +55,15 @@ TUNING = Tuning()
 WIDTHS = TUNING.widths
 
 
-@dataclass(frozen=True)
-class Order:
-    """Fit of the chosen number of modes, and the logarithm of the odds of each, as they were added."""
-
-    fit: BandFit
-    log_odds: tuple[float, ...]
-
-    @property
-    def misfit(self) -> float:
-        """What the model leaves of the spectrum, over the scatter that it predicts: normal where the model is true."""
-        model, data = self.fit.model, self.fit.data
-        inverse = np.linalg.inv(np.linalg.cholesky(spectrum(model, data)))
-        white = inverse @ data.cross @ np.conj(np.swapaxes(inverse, 1, 2))
-        place = np.floor((np.cumsum(data.bins) - 1e-9) / TUNING.misfit_bins)
-        starts = np.flatnonzero(np.diff(place, prepend=-1.0) > 0.0)
-        bins = np.add.reduceat(data.bins, starts)
-        return misfit_of(np.add.reduceat(white, starts, axis=0), bins, model.vector.size)
+def misfit(fit: BandFit) -> float:
+    """What the model leaves of the spectrum, over the scatter that it predicts: normal where the model is true."""
+    model, data = fit.model, fit.data
+    inverse = np.linalg.inv(np.linalg.cholesky(spectrum(model, data)))
+    white = inverse @ data.cross @ np.conj(np.swapaxes(inverse, 1, 2))
+    place = np.floor((np.cumsum(data.bins) - 1e-9) / TUNING.misfit_bins)
+    starts = np.flatnonzero(np.diff(place, prepend=-1.0) > 0.0)
+    bins = np.add.reduceat(data.bins, starts)
+    return misfit_of(np.add.reduceat(white, starts, axis=0), bins, model.vector.size)
 
 
 def misfit_of(white: ComplexArray, bins: FloatArray, parameters: int) -> float:
@@ -128,8 +120,8 @@ def choose_order(
     limits_hz: tuple[float, float],
     peaks: list[tuple[float, float]],
     log_places: float,
-) -> Order:
-    """Modes of a band.
+) -> BandFit:
+    """Fit of the modes of a band, as many as the evidence asks for.
 
     Parameters
     ----------
@@ -149,7 +141,6 @@ def choose_order(
     """
     start = without_modes(data)
     fit = fit_band(start, data, limits_hz)
-    odds: list[float] = []
     total = float(np.sum(data.bins))
     while fit.model.count < MOST_MODES:
         best = None
@@ -164,7 +155,7 @@ def choose_order(
         further = []
         if fit.model.count or not guesses:
             further += further_modes(fit, limits_hz, [half for _, half in peaks], price)
-        if fit.model.count == 1 and Order(fit, ()).misfit > TUNING.pair_misfit:
+        if fit.model.count == 1 and misfit(fit) > TUNING.pair_misfit:
             further += pair_instead(fit, limits_hz)
         for guess, seen in (*guesses, *((one, fit.data) for one in further)):
             wanted = fit.log_likelihood + price if best is None else best.log_likelihood
@@ -178,8 +169,7 @@ def choose_order(
         if log_odds < logit(DECIDED):
             break
         fit = best
-        odds.append(float(log_odds))
-    return Order(fit, tuple(odds))
+    return fit
 
 
 def _unexplained(model: BandModel, peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
