@@ -264,8 +264,8 @@ class Samples:
         Outputs; where they are missing, any value.
     given : bool array, shape (n, k)
     input : array, shape (n,)
-    first, last : int
-        Bins compared.
+    last : int
+        Number of bins compared, from the first one on.
     channel : Channel or None
         Where the lag of the input is estimated, what gives the input at any lag.
     lag_s : float
@@ -276,7 +276,6 @@ class Samples:
     values: FloatArray
     given: BoolArray
     input: FloatArray
-    first: int
     last: int
     channel: Channel | None = None
     lag_s: float = 0.0
@@ -300,7 +299,7 @@ class Samples:
     def frequency_hz(self) -> FloatArray:
         """Of the bins compared; shape (b,)."""
         n = self.time_s.size
-        return np.arange(self.first, self.last) * (n - 1) / (n * self.span_s)
+        return np.arange(self.last) * (n - 1) / (n * self.span_s)
 
     @cached_property
     def share_given(self) -> FloatArray:
@@ -309,7 +308,7 @@ class Samples:
 
     def bins(self, values: FloatArray) -> ComplexArray:
         """Transform of columns, shape (n, c), at the bins; the parts of white noise keep its variance."""
-        found = rfft(values, axis=0)[self.first : self.last]
+        found = rfft(values, axis=0)[: self.last]
         return np.asarray(found * np.sqrt(2.0 / values.shape[0]))
 
     def rows(self, values: FloatArray) -> FloatArray:
@@ -340,12 +339,8 @@ class Samples:
     def to_time(self, bins: ComplexArray) -> FloatArray:
         """The series, shape (n,), whose transform is `bins` in the band and 0 elsewhere."""
         whole = np.zeros(self.time_s.size // 2 + 1, dtype=complex)
-        whole[self.first : self.last] = bins / np.sqrt(2.0 / self.time_s.size)
+        whole[: self.last] = bins / np.sqrt(2.0 / self.time_s.size)
         return np.asarray(irfft(whole, self.time_s.size))
-
-    def with_input(self, values: FloatArray) -> Samples:
-        """The same with another input."""
-        return replace(self, input=values)
 
     def with_lag(self, lag_s: float) -> Samples:
         """The same with the input of another lag."""

@@ -13,7 +13,7 @@ from modal_id.mode_values import FrequencyResponse
 from modal_id.modes import numbered
 from modal_id.posterior import MUCH_LEFT, with_rate_error
 from modal_id.record import Onset, Segment
-from modal_id.response.columns import Channel, Samples, sparse_outputs, unusable
+from modal_id.response.columns import FIXED, PER_MODE, Channel, Samples, sparse_outputs, unusable
 from modal_id.response.known_input import candidates, criterion, fit_response
 from modal_id.response.lag import HIGHEST, better_lag, fit_with_lag
 from modal_id.response.noise import InputNoise
@@ -150,7 +150,7 @@ def _samples(
     for out, seen_here in enumerate(given.T):
         outputs[~seen_here, out] = np.interp(time_s[~seen_here], time_s[seen_here], outputs[seen_here, out])
     highest = int(HIGHEST * time_s.size / 2)
-    return rows, Samples(time_s, outputs, given, full, 0, highest)
+    return rows, Samples(time_s, outputs, given, full, highest)
 
 
 def _longest_part(time_s: FloatArray, values: FloatArray) -> tuple[int, int]:
@@ -189,7 +189,7 @@ def _assembled(
     columns = samples.in_time(found.poles)[places]
     fitted, baseline, used = (np.full((series.time_s.size, k), np.nan) for _ in range(3))
     fitted[cells] = columns @ found.coefficients
-    baseline[cells] = columns[:, 2:6] @ found.coefficients[2:6]
+    baseline[cells] = columns[:, 2:FIXED] @ found.coefficients[2:FIXED]
     used[cells] = given = samples.given[places]
     left = np.sum((samples.values[places] - fitted[cells]) ** 2 * given, axis=0) / np.sum(given, axis=0)
     words = _unexplained(found, settings.lowest_hz)
@@ -287,7 +287,7 @@ def participation(
     elif of_acceleration:
         factor = factor / pole**2
     driven = found.driven[index]
-    first = found.coefficients.shape[0] - 4 * (found.poles.size - index)
+    first = FIXED + PER_MODE * index
     # c = a - i b; Re(factor c) = Re(factor) a + Im(factor) b.
     weights = np.array([factor.real, factor.imag])
     variance = [

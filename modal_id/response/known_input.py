@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -103,14 +104,10 @@ def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[
         hz = frequency_hz[at]
         taken |= np.abs(frequency_hz - hz) < max(TUNING.apart * hz, 3.0 / samples.span_s)
         tried.extend(
-            max((_tried(found, weighted, at, ratio) for ratio in own), key=_gain)
+            max((_tried(found, weighted, at, ratio) for ratio in own), key=itemgetter(0))
             for own in (ratios[ratios <= TUNING.slight], ratios[ratios > TUNING.slight])
         )
     return [pole for gain, pole in tried if gain > least_gain]
-
-
-def _gain(one: tuple[float, complex]) -> float:
-    return one[0]
 
 
 def is_driven(found: ResponseFit) -> BoolArray:
@@ -356,7 +353,7 @@ def _with_likely_input(samples: Samples, found: ResponseFit, noise: Noise, respo
     error = -np.sum(np.conj(response) / noise.output * found.residual_bins, axis=1) / (
         1.0 / noise.input + np.sum(np.abs(response) ** 2 / noise.output, axis=1)
     )
-    return samples.with_input(samples.drive.at_samples() - samples.to_time(error))
+    return replace(samples, input=samples.drive.at_samples() - samples.to_time(error))
 
 
 def _has_left(start: complex, pole: complex) -> bool:

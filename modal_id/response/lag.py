@@ -315,9 +315,7 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     both = (columns[:, is_driven], columns[:, ~is_driven], samples.bins(samples.values))
     driven, free, outputs = (one / np.linalg.norm(one, axis=0) for one in both)
     products = np.zeros((n + 1, driven.shape[1], free.shape[1] + outputs.shape[1]), dtype=complex)
-    products[samples.first : samples.last] = (
-        driven[:, :, None] * np.conj(np.hstack([free, outputs]))[:, None, :]
-    )
+    products[: samples.last] = driven[:, :, None] * np.conj(np.hstack([free, outputs]))[:, None, :]
     # Real parts of the sums over the bins: the inverse transform counts all but the first and the last twice.
     products[[0, n]] *= 2.0
     turned = n * irfft(products, 2 * n, axis=0)

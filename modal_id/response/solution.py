@@ -303,7 +303,7 @@ def left_at_mode(found: ResponseFit, index: int) -> tuple[float, float, float]:
     size = samples.frequency_hz.size
     step_hz = float(samples.frequency_hz[1] - samples.frequency_hz[0])
     hz = abs(pole) / (2.0 * np.pi)
-    at = int(np.clip(np.round(hz / step_hz) - samples.first, 0, size - 1))
+    at = int(np.clip(np.round(hz / step_hz), 0, size - 1))
     reach = max(TUNING.least_bins, int(np.ceil(TUNING.half_widths * -pole.real / (2.0 * np.pi * step_hz))))
     own = slice(max(0, at - reach), at + reach + 1)
     square = np.abs(found.residual_bins[own]) ** 2
