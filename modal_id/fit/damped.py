@@ -6,6 +6,7 @@ offset and a trend, provide starting values. The fit is judged by the power that
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,12 +81,7 @@ def fit_damped(data: FitData, residual: FloatArray, lowest_hz: float) -> DampedF
     `residual`, shape (n, k), is the record less its offset and trend.
     """
     best: tuple[float, DampedFit] | None = None
-    tried: list[complex] = []
-    for candidate in damped_candidates(data, residual, lowest_hz):
-        start = _rough(data, candidate)
-        if start is None or any(abs(start - pole) < 0.02 * abs(start) for pole in tried):
-            continue
-        tried.append(start)
+    for start in _rough_poles(data, damped_candidates(data, residual, lowest_hz)):
         found = _fitted(data, start, lowest_hz)
         if found is None:
             continue
@@ -106,10 +102,7 @@ def damped_starts(problem: Problem, linear: LinearSolution, lowest_hz: float) ->
         return []
     motion = replace(data, values=residual)
     found: list[tuple[float, complex]] = []
-    for candidate in damped_candidates(data, residual, lowest_hz):
-        pole = _rough(motion, candidate)
-        if pole is None or any(abs(pole - other) < 0.02 * abs(pole) for _, other in found):
-            continue
+    for pole in _rough_poles(motion, damped_candidates(data, residual, lowest_hz)):
         wave = ModeColumns(data.time_s, np.array([pole]))
         found.append((objective(motion, solve_linear(Problem(motion, problem.baseline), wave)), pole))
     return [pole for _, pole in sorted(found, key=lambda one: one[0])]
@@ -123,6 +116,16 @@ def _exceeds_noise(data: FitData, linear: LinearSolution) -> bool:
     total = np.cumsum(np.sum(power / np.maximum(level, 1e-300), axis=1))
     count = np.cumsum(np.count_nonzero(data.weights, axis=1))
     return bool(np.any(total > count + OUTLIER_SD * np.sqrt(2.0 * count)))
+
+
+def _rough_poles(data: FitData, candidates: Iterable[Candidate]) -> Iterator[complex]:
+    """Rough poles of the candidates, each once."""
+    found: list[complex] = []
+    for candidate in candidates:
+        pole = _rough(data, candidate)
+        if pole is not None and all(abs(pole - other) >= 0.02 * abs(pole) for other in found):
+            found.append(pole)
+            yield pole
 
 
 def _rough(data: FitData, candidate: Candidate) -> complex | None:

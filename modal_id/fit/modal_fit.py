@@ -30,6 +30,8 @@ TUNING = Tuning()
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 OWN_BAND = 0.03
+# Lines are modes from this factor above the bandwidth of the baseline.
+_BASELINE_GUARD = 1.3
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,11 @@ class ModalFit:
         return self.problem.data
 
     @property
+    def lowest_line_hz(self) -> float:
+        """Frequency below which a line is taken for slow motion."""
+        return _BASELINE_GUARD * self.bandwidth_hz
+
+    @property
     def spare(self) -> float:
         """Number of values that were used less that of parameters."""
         columns, channels = self.fit.linear.slow.shape
@@ -92,6 +99,10 @@ class ModalFit:
         power = np.sum(np.abs(linear.amplitudes) ** 2 / linear.noise_variance, axis=1)
         return np.asarray(power / np.maximum(np.abs(poles.real), 1.0 / max(self.data.span_s, 1e-300)))
 
+    def amplitude_left(self, index: int) -> float:
+        """Amplitude of the mode with this index at the end over that at the start, at most 1."""
+        return min(float(np.exp(self.fit.poles[index].real * self.data.span_s)), 1.0)
+
     @property
     def strongest(self) -> int:
         """Index of the mode with most energy in the record."""
@@ -102,6 +113,10 @@ class ModalFit:
         own = float(frequency_hz(self.fit.poles)[index])
         near = [pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < OWN_BAND]
         return near[-1] if near else None
+
+    def with_repeating(self, more: FloatArray) -> ModalFit:
+        """The fit with this covariance, shape (2 m, 2 m), added to ``repeating``."""
+        return replace(self, repeating=more if self.repeating is None else self.repeating + more)
 
     @cached_property
     def spectrum(self) -> ResidualSpectrum:
@@ -127,7 +142,7 @@ def own_decay(model: ModalFit, mode: int) -> ModalFit:
     # Each average of the motion is that of a whole block of even samples with equal weights, a constant factor on the
     # motion at its mean time: uneven ones would move it. The averages of what the fit leaves have the same factor.
     seen, poles = problem.data, fit.poles[order]
-    offsets_s = float(np.median(np.diff(data.time_s))) * (np.arange(factor) - 0.5 * (factor - 1))
+    offsets_s = data.step_s * (np.arange(factor) - 0.5 * (factor - 1))
     factors = np.mean(np.exp(np.outer(offsets_s, poles)), axis=0)
     moved = motion(seen.time_s, poles, factors[:, None] * fit.linear.amplitudes[order])
     problem = Problem(replace(seen, values=seen.values + moved), problem.sparse)

@@ -21,7 +21,7 @@ from modal_id.data import (
 from modal_id.fit.amplitude_dependence import split_mode
 from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit
-from modal_id.fit.spectrum import SAME_LINE, Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
+from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz
 from modal_id.solve import (
     LinearSolution,
     ModeColumns,
@@ -99,7 +99,7 @@ def without_outliers(
         if not found:
             break
         line = found[0]
-        excluded.append(Band(line.frequency_hz, SAME_LINE * line.frequency_hz))
+        excluded.append(line.band)
         problem = Problem(replace(data, values=within), np.ones((data.time_s.size, 1)))
         pole = rough_poles(problem, start_pole(line))
         if not _is_plausible(complex(pole[0]), line, data):
@@ -150,9 +150,6 @@ def _leak(spectrum: ResidualSpectrum, span_s: float, modes_hz: FloatArray) -> fl
         leaked = 0.5 * 0.5 * float(np.sum(power[below] / distance**2))
         worst = max(worst, leaked / max(spectrum.level(float(mode)), 1e-300))
     return worst
-
-
-BASELINE_GUARD = 1.3
 
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
@@ -256,7 +253,7 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
                 lower = [_alone(data, replace(candidate, frequency_hz=_hz(first) / n)) for n in overtones]
                 waves = [w for w in lower if w is not None and _is_overtone(_hz(first) / _hz(w))]
                 return min([first, *waves], key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
-        excluded += [Band(c.frequency_hz, SAME_LINE * c.frequency_hz) for c in found]
+        excluded += [candidate.band for candidate in found]
     damped = fit_damped(data, start.residual, lowest_hz)
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
 
@@ -300,24 +297,23 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit:
 def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:
     data, fit = model.data, model.fit
     own = _own_bands(fit)
-    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, model.lowest_line_hz)
     residual, variance = fit.linear.residual, fit.linear.noise_variance
     found = candidates(data, residual, variance, lowest, tuple(own + excluded), model.spectrum)
     if not found:
         return None
     candidate = found[0]
-    band = Band(candidate.frequency_hz, SAME_LINE * candidate.frequency_hz)
     left = Problem(replace(data, values=residual), model.problem.baseline)
     alone = rough_poles(left, start_pole(candidate))
     if not _is_plausible(complex(alone[0]), candidate, data):
-        return band
+        return candidate.band
     joint = with_line(model, alone)
     if (
         joint is None
         or not is_significant(model, joint)
         or not _is_plausible(joint.fit.poles[-1], candidate, data)
     ):
-        return band
+        return candidate.band
     return joint
 
 
@@ -334,7 +330,7 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
 def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
     """Add the strongly damped mode that the lines of the spectrum do not show; None without one."""
     data, fit = model.data, model.fit
-    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, model.lowest_line_hz)
     for start in damped_starts(model.problem, fit.linear, lowest)[:PLACES]:
         joint = refit(model, np.append(fit.poles, start), data, search=True)
         hz = frequency_hz(joint.fit.poles)
@@ -392,7 +388,7 @@ def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
 
 
 def _clean(model: ModalFit, original: FloatArray, lowest_hz: float) -> ModalFit:
-    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, model.lowest_line_hz)
     data = without_outliers(model.data, original, model.fit.linear, lowest, _own_bands(model.fit))
     if np.array_equal(data.weights, model.data.weights):
         return model

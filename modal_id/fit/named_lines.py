@@ -13,13 +13,7 @@ import numpy as np
 
 from modal_id.data import FitData, bandwidth_hz, baseline_splines
 from modal_id.fit.modal_fit import OWN_BAND, ModalFit
-from modal_id.fit.model_order import (
-    BASELINE_GUARD,
-    is_significant,
-    refit,
-    start_pole,
-    with_line,
-)
+from modal_id.fit.model_order import is_significant, refit, start_pole, with_line
 from modal_id.fit.spectrum import LEVEL_BINS, SAME_LINE, Band, highest_near, nyquist_hz
 from modal_id.sentences import Reason, Refusal
 from modal_id.solve import (
@@ -82,7 +76,7 @@ def _with_one(model: ModalFit, hz: float) -> ModalFit:
 def _no_line_there(model: ModalFit, hz: float) -> Refusal | None:
     """Why no line of its own can be sought at a frequency, or None."""
     near = [f for f in frequency_hz(model.fit.poles) if abs(f - hz) < OWN_BAND * f]
-    nyquist, lowest_hz = nyquist_hz(model.data.time_s), BASELINE_GUARD * model.bandwidth_hz
+    nyquist, lowest_hz = nyquist_hz(model.data.time_s), model.lowest_line_hz
     if near:
         return Reason.NAMED_IS_CLOSE(hz=hz, mode_hz=near[0])
     if hz >= nyquist:

@@ -136,8 +136,7 @@ def with_scale_errors(model: ModalFit, change: ScaleChange, start_s: float) -> M
     for index, pole in enumerate(poles):
         power = np.exp(2.0 * np.minimum(pole.real, 0.0) * time_s)
         size[2 * index] = change.rate_errors(start_s + time_s, power)
-    known = 0.0 if model.repeating is None else model.repeating
-    return replace(model, repeating=known + size @ size.T)
+    return model.with_repeating(size @ size.T)
 
 
 def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: NDArray[np.intp]) -> ModalFit:
@@ -176,8 +175,7 @@ def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: 
         rounded[:, coarse] = steps[coarse] * np.round(of_step) - about[coarse]
         shift = refit(model, model.fit.poles, replace(data, values=rounded)).fit.poles - model.fit.poles
         shifts.append(np.column_stack([shift.real, shift.imag]).ravel())
-    more = np.array(shifts).T @ np.array(shifts) / TUNING.rounded_records
-    return replace(model, repeating=more if model.repeating is None else model.repeating + more)
+    return model.with_repeating(np.array(shifts).T @ np.array(shifts) / TUNING.rounded_records)
 
 
 def _step(values: FloatArray) -> float:

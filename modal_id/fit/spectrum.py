@@ -223,6 +223,14 @@ _AT_ONCE = 64
 
 
 @dataclass(frozen=True)
+class Band:
+    """Frequencies excluded from the search."""
+
+    centre_hz: float
+    half_width_hz: float
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A line of the spectrum.
 
@@ -234,13 +242,10 @@ class Candidate:
     decay_per_s: float
     score: float
 
-
-@dataclass(frozen=True)
-class Band:
-    """Frequencies excluded from the search."""
-
-    centre_hz: float
-    half_width_hz: float
+    @property
+    def band(self) -> Band:
+        """Frequencies that are those of this line."""
+        return Band(self.frequency_hz, SAME_LINE * self.frequency_hz)
 
 
 def candidates(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from modal_id.data import MIN_SAMPLES
 from modal_id.fit.modal_fit import ModalFit
 from modal_id.solve import Problem, fit_poles, frequency_hz, own_problem
 from tracker import ComplexArray, FloatArray
@@ -20,8 +21,6 @@ class Tuning:
     parts: int = 3
     #: [cycles] shortest part
     least_cycles: float = 2.0
-    #: [samples] the same
-    least_rows: int = 12
 
 
 TUNING = Tuning()
@@ -34,8 +33,7 @@ def with_spread(model: ModalFit) -> ModalFit:
     the fitted one, and a frequency as uncertain.
     """
     spread = np.concatenate([_largest_difference(model, index) for index in range(model.fit.poles.size)])
-    known = np.zeros((spread.size, spread.size)) if model.repeating is None else model.repeating
-    return replace(model, repeating=known + np.diag(spread**2))
+    return model.with_repeating(np.diag(spread**2))
 
 
 def mean_scatter_rad_s(model: ModalFit, index: int) -> float:
@@ -61,7 +59,7 @@ def _differences(model: ModalFit, index: int) -> ComplexArray:
     )
     edges = np.searchsorted(energy, np.linspace(0.0, energy[-1], TUNING.parts + 1))
     edges[-1] = data.time_s.size
-    least = max(TUNING.least_rows, int(TUNING.least_cycles / (float(frequency_hz(pole)) * data.step_s)))
+    least = max(MIN_SAMPLES, int(TUNING.least_cycles / (float(frequency_hz(pole)) * data.step_s)))
     found = []
     for first, last in pairwise(edges):
         if last - first < least:

@@ -166,7 +166,7 @@ def mode_flags(
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
         ModeFlag.CLOSE_MODE: bool(np.any(distance < CLOSE)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
-        ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
+        ModeFlag.FEW_CYCLES_LOST: model.amplitude_left(index) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not is_one_curve(curve),
         # The ratio of a half-normal density is 1.1.
         ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < DECAYS_SD * _sd_below(mode),

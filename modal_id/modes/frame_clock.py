@@ -295,8 +295,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     None, too, where they are uneven in time or free of noise.
     """
     data, fit = model.data, model.fit
-    step_s = float(np.median(np.diff(data.time_s)))
-    number = (data.time_s - data.time_s[0]) / step_s
+    number = (data.time_s - data.time_s[0]) / data.step_s
     rows = np.rint(number).astype(np.intp)
     if np.any(np.abs(number - rows) > TUNING.even) or np.any(np.diff(rows) < 1):
         return None
@@ -328,7 +327,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     values = _components(values, fit.linear.residual[cells] / sd)
     if not values.shape[1]:
         return None
-    return DecayRecord(rows[used] - rows[used[0]], values, fit.poles * step_s, strongest, alike, slow)
+    return DecayRecord(rows[used] - rows[used[0]], values, fit.poles * data.step_s, strongest, alike, slow)
 
 
 def _components(values: FloatArray, residual: FloatArray) -> FloatArray:

@@ -57,7 +57,7 @@ def find_dependence(
     amplitude_fit: AmplitudeFit | None,
     noise: NoiseLevel,
     index: int,
-    repeating_sd: tuple[float, float] = (0.0, 0.0),
+    repeating_sd: tuple[float, float],
 ) -> AmplitudeDependence | None:
     """Linear form of all samples and curve of any form; None where the record determines neither.
 
@@ -167,7 +167,7 @@ def _linear(
     drop = float(np.sum((own.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
     statistic = 0.5 * max(drop, 0.0) / factor**2
     # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
-    lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
+    lowest = model.amplitude_left(index)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
     improves = bool(fdtrc(2.0, noise.dof, statistic) < FALSE_ALARM)
     zeta0, zeta0_sd = p[0] / omega, float(np.hypot(sd[0] / omega, beyond[0]))

@@ -206,31 +206,31 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     residual_power = left_at_mode(own, amplitude_fit, dependence)
     if dependence is not None and dependence.curve is None and residual_power > MUCH_LEFT:
         dependence = dependence.doubted(frequency, zeta)
-    errors = _model_errors(pole, model.data.span_s, dependence, model.unresolved_near(index))
+    left = model.amplitude_left(index)
+    errors = _model_errors(pole, left, dependence, model.unresolved_near(index))
     if residual_power > MUCH_LEFT:
         # The noise factor is that of the noise beside the mode.
         more = noise.factor * float(np.sqrt(residual_power - 1.0))
         errors["unexplained"] = (more * float(sd[0]) / (2.0 * np.pi), more * float(sd[1]))
     errors["positions"] = repeating_sd
     errors = {cause: sd for cause, sd in errors.items() if max(sd) > 0.0}
-    left = min(float(np.exp(pole.real * model.data.span_s)), 1.0)
     beyond = *frequency_limit(frequency, left, dependence), damping_limit_sd(abs(zeta), left, dependence)
     return DeterminedMode(frequency, covariance, dependence, density, errors, beyond, residual_power)
 
 
 def _model_errors(
     pole: complex,
-    span_s: float,
+    left: float,
     dependence: AmplitudeDependence | None,
     pair: ComplexArray | None,
 ) -> dict[str, tuple[float, float]]:
     """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole, by cause.
 
-    Where the mode may be an unresolved pair, they include the distances to both of its modes.
+    Where the mode may be an unresolved pair, they include the distances to both of its modes. `left` is the share of
+    the amplitude at the end of the record.
     """
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     errors = {"amplitude": (0.0, 0.0)}
-    left = min(float(np.exp(pole.real * span_s)), 1.0)
     if dependence is not None and dependence.significant:
         errors["amplitude"] = _reach(frequency, zeta, dependence)
     if pair is not None:

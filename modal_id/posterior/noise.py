@@ -298,7 +298,7 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
     """Mask of the bins that belong neither to a mode nor to the baseline."""
     poles, span = model.fit.poles, model.data.span_s
     all_hz = frequency_hz(poles)
-    free = (bins > max(1.3 * model.bandwidth_hz, 1.0 / span)) & (bins < nyquist_hz(model.data.time_s))
+    free = (bins > max(model.lowest_line_hz, 1.0 / span)) & (bins < nyquist_hz(model.data.time_s))
     for other in range(poles.size):
         line = 0.0 if other == mode else abs(float(poles[other].real)) / (2.0 * np.pi)
         free &= np.abs(bins - all_hz[other]) > TUNING.own_bins / span + line
