@@ -394,7 +394,7 @@ def _of_record(
     notes = []
     if filled := int(np.count_nonzero(found.filled)):
         notes.append(Note.FILLED(count=filled, percent=200.0 * filled / found.filled.size))
-    onset = Onset(start_s, float("nan"), start_s, "none", 1.0, "")
+    onset = Onset(start_s, float("nan"), start_s, "none", 1.0)
     return Identification(
         series=series,
         onset=onset,

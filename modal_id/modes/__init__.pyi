@@ -1,7 +1,6 @@
 from . import flag_rules as flag_rules
 from .aliases import ALIAS_COLUMNS as ALIAS_COLUMNS
 from .aliases import DECIDED as DECIDED
-from .aliases import Alias as Alias
 from .aliases import Aliases as Aliases
 from .aliases import Line as Line
 from .aliases import LineAliases as LineAliases

@@ -66,10 +66,8 @@ def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
     return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, dof, p_value)
 
 
-def between_interval(
-    values: Sequence[float], sds: Sequence[float], level: float = INTERVAL_LEVEL
-) -> tuple[float, float]:
-    """Central confidence interval of the standard deviation between independent values; from 0 to infinity for one.
+def between_interval(values: Sequence[float], sds: Sequence[float]) -> tuple[float, float]:
+    """Central 90 % interval of the standard deviation between independent values; from 0 to infinity for one.
 
     Raises
     ------
@@ -83,7 +81,7 @@ def between_interval(
     x, sd = _checked(values, sds)
     if x.size == 1:
         return 0.0, float("inf")
-    ends = chdtri(x.size - 1, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
+    ends = chdtri(x.size - 1, [0.5 * (1.0 - INTERVAL_LEVEL), 0.5 * (1.0 + INTERVAL_LEVEL)])
     low, high = (_between(float(end), x, sd) ** 0.5 for end in ends)
     return low, high
 

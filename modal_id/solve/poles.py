@@ -202,8 +202,6 @@ def normal_equations(
     return information, gradient
 
 
-_STEP_TOLERANCE = TUNING.step_tolerance
-
 # Largest logarithm of the growth over the record: products of four such waves do not overflow.
 MOST_GROWTH = 0.25 * float(np.log(np.finfo(float).max))
 # Largest decay rate per sample, that of critical damping at half the sampling rate: a motion that decays faster leaves
@@ -303,12 +301,7 @@ def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
     return int(min(1.0 / (12.0 * fastest * step), time_s.size / 200.0))
 
 
-def gauss_newton(
-    problem: Problem,
-    start: ComplexArray,
-    max_iterations: int = MAX_ITERATIONS,
-    tolerance: float = _STEP_TOLERANCE,
-) -> PoleFit:
+def gauss_newton(problem: Problem, start: ComplexArray, tolerance: float = TUNING.step_tolerance) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
 
     Until a step would be shorter than `tolerance` standard deviations.
@@ -323,7 +316,7 @@ def gauss_newton(
     linear = solve_linear(problem, ModeColumns(data.time_s, poles))
     converged = poles.size == 0
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
-    for _ in range(max_iterations if poles.size else 0):
+    for _ in range(MAX_ITERATIONS if poles.size else 0):
         information, gradient = normal_equations(problem, linear, *pole_slopes(data.time_s, linear))
         covariance = pseudo_inverse(information)
         step = covariance @ gradient

@@ -21,7 +21,7 @@ def test_averages_of_uneven_samples_have_the_pole_and_the_noise_of_all_samples()
     mode = int(np.argmin(frequency_hz(model.fit.poles)))
     own = own_decay(model, mode)
     assert own.problem.data.time_s.size < 1000
-    pole = gauss_newton(own.problem, own.fit.poles, 10).poles[0]
+    pole = gauss_newton(own.problem, own.fit.poles).poles[0]
     moved = np.abs([pole.real - model.fit.poles[mode].real, pole.imag - model.fit.poles[mode].imag])
     # the averages lose 1.3 % of the information: they differ by the root of it, 0.11 sd
     assert np.all(moved < 4.0 * 0.11 * model.fit.pole_sd[mode]), moved / model.fit.pole_sd[mode]
