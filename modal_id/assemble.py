@@ -37,7 +37,7 @@ from modal_id.modes import (
     shape_disagreement,
     within_errors,
 )
-from modal_id.posterior import SampledMode, channel_noise_level, noise_level, sample_modes
+from modal_id.posterior import LINE_BINS, SampledMode, channel_noise_level, noise_level, sample_modes
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.sentences import ModeFlag, Note, Reason, alias_note
 from modal_id.settings import IdentifySettings
@@ -49,8 +49,6 @@ from tracker import BoolArray, DisplacementSeries, Failure, FloatArray
 class Tuning:
     """Bands of a driven line."""
 
-    #: [bins] half-width of the band of a driven line, where a bin is 1 / span of the record
-    own_bins: float = 3.0
     #: [half-widths] outer edge of the band beside a driven line, in which the noise is measured
     beside: float = 6.0
 
@@ -195,7 +193,7 @@ def _driven_sd_hz(model: ModalFit, index: int) -> float:
 
     At least that from the scatter between thirds of the record, which slow errors of the clock increase, too.
     """
-    centre, reach = float(frequency_hz(model.fit.poles)[index]), TUNING.own_bins / model.data.span_s
+    centre, reach = float(frequency_hz(model.fit.poles)[index]), LINE_BINS / model.data.span_s
     spectrum = model.spectrum
     distance = np.abs(spectrum.frequency_hz - centre)
     own, beside = distance < reach, (distance > reach) & (distance < TUNING.beside * reach)

@@ -40,9 +40,6 @@ class Tuning:
     #: [1] largest exponent
     #: physics: That of a displacement far above a resonance.
     most_exponent: float = 4.0
-    #: [1] change of a logarithm for difference quotients
-    #: convention: Rounding and curvature are both below 1e-7 of the slope.
-    difference: float = 1e-6
     #: [1] largest half-width of a mode over the width of the band
     #: physics: The spectrum of a wider one is not told from the background.
     widest: float = 0.125
@@ -55,6 +52,8 @@ class Tuning:
 
 TUNING = Tuning()
 MOST_MODES, WIDEST = TUNING.most_modes, TUNING.widest
+# Change of a logarithm for difference quotients: rounding and curvature are both below 1e-7 of the slope.
+_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -418,8 +417,8 @@ def _mode_changes(
     for unit in (1.0, 1j):
         for i, j in zip(rows, columns, strict=True):
             moved = model.mixing.copy()
-            moved[i, j] += TUNING.difference * unit
-            slope = (replace(model, mixing=moved).lower - lower) / TUNING.difference
+            moved[i, j] += _DIFFERENCE * unit
+            slope = (replace(model, mixing=moved).lower - lower) / _DIFFERENCE
             changes.append((white_shapes * response[:, None, :]) @ slope)
     changes += [
         inverse[:, :, row, None] * inner[:, None, t + mode, :] for row in range(r) for mode in range(m)
@@ -442,10 +441,10 @@ def _response_slopes(model: BandModel, data: BandData, mode: int) -> tuple[Compl
         sides = []
         for sign in (1.0, -1.0):
             moved = values.copy()
-            moved[axis] += sign * TUNING.difference
+            moved[axis] += sign * _DIFFERENCE
             hz, zeta = (float(x) for x in np.exp(moved))
             sides.append(transfer(data.frequency_hz, hz, zeta, data.samples, data.step_s))
-        slopes.append((sides[0] - sides[1]) / (2.0 * TUNING.difference))
+        slopes.append((sides[0] - sides[1]) / (2.0 * _DIFFERENCE))
     return slopes[0], slopes[1]
 
 

@@ -29,13 +29,9 @@ class Tuning:
     inadequate: float = 2.5
     #: [1] residual power over that of constant values below which a law explains their misfit in any case
     mostly_explained: float = 0.01
-    #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
-    #: convention: A tenth.
-    decade: float = 0.1
 
 
 TUNING = Tuning()
-_ADEQUATE = TUNING.adequate
 
 # Prior sds of the changes over all amplitudes, relative to decay rate and frequency, over which splines and laws of
 # stiffness alone are averaged; of the others, the largest.
@@ -45,7 +41,7 @@ _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 _POWERS = (2.0, 4.0)
 
 
-def explains(curve: AmplitudeCurve, limit: float = _ADEQUATE) -> bool:
+def explains(curve: AmplitudeCurve, limit: float = TUNING.adequate) -> bool:
     """Whether a curve leaves less than `limit` times the noise at the mode, or a small part of what constants leave."""
     return curve.residual_power < max(limit, TUNING.mostly_explained * curve.constant_residual_power)
 
@@ -55,7 +51,7 @@ def is_one_curve(curve: AmplitudeCurve | None) -> bool:
 
     Over a smaller range, a curve may imitate part of a beat.
     """
-    return curve is not None and curve.amplitude[1] <= TUNING.decade * curve.amplitude[-1] and explains(curve)
+    return curve is not None and curve.amplitude[1] <= 0.1 * curve.amplitude[-1] and explains(curve)
 
 
 def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> AmplitudeCurve | None:

@@ -42,12 +42,12 @@ class Tuning:
     #: [1] measured noise over the stated sd below which it is not that of positions
     #: measurement: Filmed forks in predictive codecs have 0.01 to 0.4, others 0.4 to 1.2.
     least_of_stated: float = 0.5
-    #: [1] information on a component at an instant over that of all channels below which it is unseen
-    #: physics: Above rounding.
-    least_seen: float = 1e-9
 
 
 TUNING = Tuning()
+
+# Information on a component at an instant over that of all channels, below which it is unseen: above rounding.
+_LEAST_SEEN = 1e-9
 
 # Largest number of directions in the first passes: what interpolation does at outliers and missing samples is weaker
 # than the motion, and the passes replace it.
@@ -257,9 +257,7 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
     covariance = np.broadcast_to(np.eye(r), (n, r, r)).copy()
     for rows in np.array_split(np.flatnonzero(np.any(weights != 1.0, axis=1)), max(1, n // 256)):
         own = weights[rows]
-        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + TUNING.least_seen * np.eye(
-            r
-        )
+        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + _LEAST_SEEN * np.eye(r)
         covariance[rows] = np.linalg.inv(information)
         values[rows] = np.einsum("nqp,np->nq", covariance[rows], (own * whitened[rows]) @ basis)
     return values, covariance

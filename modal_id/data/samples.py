@@ -139,7 +139,9 @@ def spikes(values: FloatArray) -> BoolArray:
     without it and another one nearby, the samples about it are interpolated well. At a step, a release and in a longer
     click they are not.
     """
-    found, near, side = np.zeros(values.size, dtype=bool), TUNING.near, TUNING.side
+    found, side = np.zeros(values.size, dtype=bool), TUNING.side
+    # as many samples tell how well the motion is interpolated nearby as interpolate one
+    near = 2 * side
     for _ in range(TUNING.passes):
         rows = np.flatnonzero(np.isfinite(values) & ~found)
         if rows.size <= max(2 * (near + side), 4 * side):
@@ -264,9 +266,6 @@ class Tuning:
     #: [samples] on either side, from which one is interpolated
     #: physics: Four sinusoids of any frequency are interpolated exactly.
     side: int = 4
-    #: [samples] on either side, that tell how well the motion is interpolated there
-    #: convention: As many as interpolate one.
-    near: int = 8
     #: [1] error of interpolation of a spike over the median error of all samples, and of those nearby
     #: statistics: Six standard deviations of noise.
     spike: float = 9.0

@@ -54,8 +54,6 @@ class Tuning:
     #: [1] number of groups of neighbouring channels, each left out once
     #: convention: Their errors may be correlated.
     groups: int = 8
-    #: [1] number of passes
-    passes: int = 4
 
 
 TUNING = Tuning()
@@ -321,7 +319,7 @@ def _phase_slope(
     shape, weight, along = shape[kept], 1.0 / sd[kept], rows[kept] - np.mean(rows)
     shape = in_phase(shape)
     phase = np.zeros(2)
-    for _ in range(TUNING.passes):
+    for _ in range(4):
         turned = shape * np.exp(-1j * (phase[0] + phase[1] * along))
         design = (turned.real * weight)[:, None] * np.stack([np.ones_like(along), along], axis=1)
         covariance = np.linalg.pinv(design.T @ design, hermitian=True)

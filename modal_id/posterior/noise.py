@@ -29,17 +29,8 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """The level of the noise beside a mode, and the accuracy of its spectrum."""
+    """The level of the noise beside a mode."""
 
-    #: [1] blocks per period of the largest distance from the centre
-    #: physics: The phase changes by up to 0.2 rad within half a block.
-    blocks_per_period: float = 16.0
-    #: [1] number of moments of each block
-    #: physics: 0.2^6 / 6! = 1e-7.
-    moments: int = 6
-    #: [1] relative difference up to which frequency steps count as equal
-    #: physics: Above rounding.
-    even: float = 1e-10
     #: [1] half-width of the band, over the mode's frequency
     relative_half_width: float = 0.06
     #: [bins] fewest bins on either side
@@ -65,6 +56,11 @@ class Tuning:
 TUNING = Tuning()
 
 
+# Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block. The
+# first moment of a block that is left out is then 0.2^6 / 6! = 1e-7.
+_BLOCKS_PER_PERIOD, _MOMENTS = 16.0, 6
+# Relative difference up to which frequency steps count as equal, above rounding.
+_EVEN = 1e-10
 _SPLINES = 16
 # Values of the rotations of the blocks that are held at a time.
 _ROTATIONS = 4_000_000
@@ -84,7 +80,7 @@ class BandTransform:
     def __init__(self, time_s: FloatArray, frequencies_hz: FloatArray) -> None:
         middle = 0.5 * (float(frequencies_hz[0]) + float(frequencies_hz[-1]))
         half = max(float(np.max(np.abs(frequencies_hz - middle))), 1e-9)
-        block = 1.0 / (TUNING.blocks_per_period * half)
+        block = 1.0 / (_BLOCKS_PER_PERIOD * half)
         number = ((time_s - time_s[0]) / block).astype(np.intp)
         starts = np.flatnonzero(np.diff(number, prepend=-1))
         ends = np.append(starts[1:], time_s.size)
@@ -139,15 +135,15 @@ class BandTransform:
         self, values: FloatArray, weights: FloatArray, share: ComplexArray | FloatArray
     ) -> ComplexArray:
         """Transform of one sum, with factors `share`, of the weighted columns of an array, without leakage."""
-        moments = np.empty((TUNING.moments, self._mean_s.size), dtype=complex)
+        moments = np.empty((_MOMENTS, self._mean_s.size), dtype=complex)
         for blocks in self._parts():
             rows, edges = self._samples(blocks)
             moving = self._wave(rows) * ((weights[rows] * values[rows]) @ share)
             from_mean = self._time_s[rows] - np.repeat(self._mean_s[blocks], np.diff(edges))
-            for power in range(TUNING.moments):
+            for power in range(_MOMENTS):
                 moments[power, blocks] = np.add.reduceat(moving, edges[:-1])
                 moving *= from_mean / (power + 1.0)
-        factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(TUNING.moments)
+        factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(_MOMENTS)
         turns = self._turns(self._mean_s)
         return np.array([f @ (moments @ turn) for f, turn in zip(factors, turns, strict=True)])
 
@@ -156,7 +152,7 @@ class BandTransform:
         turn: ComplexArray = np.ones(time_s.size, dtype=complex)
         step, gap, last = turn, 0.0, 0.0
         for offset in self._offset_rad_s:
-            if abs(offset - last - gap) > TUNING.even * abs(gap):
+            if abs(offset - last - gap) > _EVEN * abs(gap):
                 gap = float(offset) - last
                 step = np.exp(-1j * gap * time_s)
             turn, last = turn * step, float(offset)

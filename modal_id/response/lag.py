@@ -68,16 +68,15 @@ class Tuning:
     #: [1] steps of the grid over which lags are not improbable, at least
     #: statistics: Nine sd of a normal posterior: the mean is then exact to 1e-3 sd.
     least_probable: int = 12
-    #: [s] length of the grid below which it is not narrowed
-    #: physics: Rounding of the times of a record of a day.
-    finest_s: float = 1e-10
-    #: [lags] number of lags whose normal equations are solved together
-    #: convention: Limits the memory.
-    together: int = 500
 
 
 TUNING = Tuning()
 HIGHEST = TUNING.highest
+
+# Length of the grid of lags below which it is not narrowed: rounding of the times of a record of a day.
+_FINEST_S = 1e-10
+# Lags whose normal equations are solved together: it limits the memory.
+_TOGETHER = 500
 
 # Parameter of Kaiser's window, and half length of the filter in steps of the outputs, by his formulas.
 _BETA = float(kaiser_beta(TUNING.attenuation))
@@ -249,7 +248,7 @@ def _probable(score: Callable[[float], float], low_s: float, high_s: float) -> t
         lags = np.linspace(low_s, high_s, TUNING.lags)
         scores = np.array([score(lag_s) for lag_s in lags])
         near = np.flatnonzero(scores < np.min(scores) + TUNING.improbable)
-        if near[-1] - near[0] >= TUNING.least_probable or high_s - low_s < TUNING.finest_s:
+        if near[-1] - near[0] >= TUNING.least_probable or high_s - low_s < _FINEST_S:
             return lags, np.exp(np.min(scores) - scores)
         low_s, high_s = lags[max(near[0] - 1, 0)], lags[min(near[-1] + 1, lags.size - 1)]
 
@@ -322,8 +321,8 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     of_driven, of_free = np.real(np.conj(driven.T) @ driven), np.real(np.conj(free.T) @ free)
     of_outputs = np.real(np.conj(free.T) @ outputs)
     total = np.zeros(shifts.size)
-    for start in range(0, shifts.size, TUNING.together):
-        chosen = slice(start, start + TUNING.together)
+    for start in range(0, shifts.size, _TOGETHER):
+        chosen = slice(start, start + _TOGETHER)
         left = _left(of_driven, of_free, of_outputs, turned[shifts[chosen] % (2 * n)])
         total[chosen] = size * np.sum(np.log(left), axis=1)
     return total

@@ -25,18 +25,8 @@ from modal_id.solve.weighting import (
 )
 from tracker import ComplexArray, FloatArray
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """Rounding."""
-
-    #: [1] relative ridge of the normal equations
-    #: physics: Keeps them solvable where a baseline spline sees no sample; above rounding.
-    ridge: float = 1e-13
-
-
-TUNING = Tuning()
-RIDGE = TUNING.ridge
+# Relative ridge of the normal equations, above rounding: it keeps them solvable where a baseline spline sees no sample.
+RIDGE = 1e-13
 
 _ROUNDING = 32.0 * np.finfo(float).eps
 
