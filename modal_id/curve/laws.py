@@ -60,9 +60,9 @@ class Law(ABC):
         """Standard deviations of the normal prior of each parameter, infinite for the first two; shape (q,)."""
 
     @property
-    @abstractmethod
     def prior_mean(self) -> FloatArray:
-        """Means of the prior; shape (q,)."""
+        """Means of the prior, shape (q,): no changes."""
+        return np.zeros(self.prior_sd.size)
 
     @abstractmethod
     def rates(self, amplitude: FloatArray, parameters: FloatArray) -> Rates:
@@ -102,11 +102,6 @@ class PowerLaw(Law):
         """Of (decay_0, angular_0, change of each)."""
         return np.array([np.inf, np.inf, self.decay_sd, self.angular_sd][: 2 + len(self.powers)])
 
-    @property
-    def prior_mean(self) -> FloatArray:
-        """No changes."""
-        return np.zeros(2 + len(self.powers))
-
     def rates(self, amplitude: FloatArray, parameters: FloatArray) -> Rates:
         """As in the class's formula."""
         slopes = np.zeros((2, amplitude.size, 2 + len(self.powers)))
@@ -130,11 +125,6 @@ class StiffnessLaw(Law):
     def prior_sd(self) -> FloatArray:
         """Of (decay_0, angular_0, change)."""
         return np.array([np.inf, np.inf, self.angular_sd])
-
-    @property
-    def prior_mean(self) -> FloatArray:
-        """No change."""
-        return np.zeros(3)
 
     def rates(self, amplitude: FloatArray, parameters: FloatArray) -> Rates:
         """As in the class's formula."""
@@ -228,21 +218,19 @@ class SplineLaw(Law):
         return np.concatenate([[np.inf, np.inf], share * self.decay_sd, share * self.angular_sd])
 
     @property
-    def prior_mean(self) -> FloatArray:
-        """No increments."""
-        return np.zeros(2 * self.knots)
+    def _positions(self) -> FloatArray:
+        """The variable of the splines at each knot; shape (knots,)."""
+        return np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
 
     @property
     def knot_amplitudes(self) -> FloatArray:
         """Amplitude at each knot; shape (knots,)."""
-        positions = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
-        return np.asarray(self.lowest * np.expm1(positions))
+        return np.asarray(self.lowest * np.expm1(self._positions))
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        positions = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
         # Column j is 1 from knot j on: the effect of the increment before it.
-        return CubicSpline(positions, np.tri(self.knots), bc_type="natural")
+        return CubicSpline(self._positions, np.tri(self.knots), bc_type="natural")
 
     def parameters(self, decay: FloatArray, angular: FloatArray) -> FloatArray:
         """Parameters of the law with these rates at `knot_amplitudes`, shape (knots,) each."""

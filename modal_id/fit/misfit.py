@@ -75,19 +75,19 @@ def misfit(model: ModalFit, omissions: Omissions | None = None) -> Misfit:
 
 
 def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None) -> Misfit:
-    data = model.data
-    length = max(TUNING.least_rows, int(np.ceil(TUNING.cycles / (_strongest_hz(model)[0] * data.step_s))))
+    data, strongest_hz = model.data, _strongest_hz(model)
+    length = max(TUNING.least_rows, int(np.ceil(TUNING.cycles / (strongest_hz[0] * data.step_s))))
     count = data.time_s.size // length
     if count < 2:
         return Misfit(0.0, 0.0, 0.0)
     time_s = data.time_s[: count * length].reshape(count, length)
     # Coloured noise has more power at the modes than white noise.
-    coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in _strongest_hz(model).tolist()))
+    coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in strongest_hz.tolist()))
     excess, moved = np.zeros(count), np.zeros(count)
     for first in range(0, count, max(1, _BLOCK // length)):
         block = slice(first, min(first + max(1, _BLOCK // length), count))
         rows = slice(block.start * length, block.stop * length)
-        waves = np.exp(2j * np.pi * time_s[block, :, None] * _strongest_hz(model))
+        waves = np.exp(2j * np.pi * time_s[block, :, None] * strongest_hz)
         baseline = linear.splines[rows] @ linear.slow
         columns = np.concatenate([np.ones((*waves.shape[:2], 1)), waves.real, waves.imag], axis=2)
         omitted = _power(omissions, rows, length, linear.noise_variance.size)

@@ -115,7 +115,8 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
         return found
     modes, used = [], 0
     for mode in found.modes:
-        values = [one for one in _values_of(mode, fitted, main) if one is not None]
+        each = (_value_of(mode, one) if k == main else _same_mode(mode, one) for k, one in enumerate(fitted))
+        values = [one for one in each if one is not None]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
     words = Note.ONE_DECAY if used < 2 else Note.COMBINED
@@ -163,10 +164,6 @@ def _is_new(hz: float, sd_hz: float, found: Identification) -> bool:
         if abs(own_hz - hz) < max(SAME_MOTION * own_hz, OUTLIER_SD * (mode.frequency_sd_hz + sd_hz)):
             return False
     return True
-
-
-def _values_of(mode: IdentifiedMode, fitted: Sequence[FittedDecay], main: int) -> list[DecayValue | None]:
-    return [_value_of(mode, one) if k == main else _same_mode(mode, one) for k, one in enumerate(fitted)]
 
 
 def _value_of(mode: IdentifiedMode, one: FittedDecay) -> DecayValue:

@@ -48,8 +48,7 @@ MATCHING_MAC = 0.95
 # Below this MAC two shapes are not those of one mode: consistent ones reach 0.9 (Allemang, "The modal assurance
 # criterion: twenty years of use and abuse", Sound Vib. 37 (2003) 14-23), and positions read to 2 mm of 500 cost 0.1.
 OTHER_SHAPE_MAC = 0.8
-# Rates that cameras offer, and the error of theory up to which one of them is named: the standard beam of the paper is
-# stiffer than the measured one by 7 % in mode 4.
+# Rates that cameras offer.
 _USUAL_RATES_HZ = (
     24, 25, 30, 48, 50, 60, 90, 100, 120, 125, 150, 200, 240, 250, 300, 400, 480, 500, 600, 720, 750, 800, 960, 1000,
     1200, 1250, 1500, 2000, 2400, 2500, 3000, 4000, 5000, 6000, 8000, 10000,

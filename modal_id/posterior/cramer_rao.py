@@ -76,7 +76,7 @@ def modal_bound(
         left &= ~same
     if not np.linalg.det(information) > 0.0:
         return ModalBound(float("inf"), float("inf"))
-    slopes = modal_slopes(pole)
+    slopes = modal_slopes(pole) / [[2.0 * np.pi], [1.0]]  # of the frequency in Hz
     sd = np.sqrt(np.diag(slopes @ np.linalg.inv(information) @ slopes.T))
     return ModalBound(float(sd[0]), float(sd[1]))
 

@@ -31,7 +31,7 @@ from modal_id.results import (
 )
 from modal_id.sentences import Note, Reason
 from modal_id.settings import IdentifySettings
-from modal_id.solve import damping_ratio, frequency_hz
+from modal_id.solve import damping_ratio, frequency_hz, modal_slopes
 from tracker import BoolArray, ComplexArray, FloatArray
 
 
@@ -257,11 +257,8 @@ def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tu
 
 def _to_modal(poles: ComplexArray, index: int, covariance: FloatArray) -> FloatArray:
     """Covariance of (omega_n, zeta) of one mode from that of (Re, Im) of all poles."""
-    pole = complex(poles[index])
-    omega, re, im = abs(pole), pole.real, pole.imag
-    to_modal = np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
-    block = slice(2 * index, 2 * index + 2)
-    return np.asarray(to_modal @ covariance[block, block] @ to_modal.T)
+    slopes, block = modal_slopes(complex(poles[index])), slice(2 * index, 2 * index + 2)
+    return np.asarray(slopes @ covariance[block, block] @ slopes.T)
 
 
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:

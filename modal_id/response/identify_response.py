@@ -245,7 +245,7 @@ def _mode(
         factor *= freedom
     own = factor * found.covariance[2 * index : 2 * index + 2, 2 * index : 2 * index + 2]
     hz, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    slopes = modal_slopes(pole)
+    slopes = modal_slopes(pole) / [[2.0 * np.pi], [1.0]]  # of the frequency in Hz
     sd = np.sqrt(np.diag(slopes @ own @ slopes.T))
     if sd[1] > (TUNING.most_unexplained_sd if unexplained else TUNING.most_relative_sd) * zeta:
         advice = unexplained.removesuffix(".") or Note.EXCITE()

@@ -244,10 +244,9 @@ def damping_ratio(poles: ComplexArray | complex) -> FloatArray:
 
 
 def modal_slopes(pole: complex) -> FloatArray:
-    """Derivatives of the frequency in Hz and the damping ratio with respect to (Re, Im) of a pole; shape (2, 2)."""
+    """Derivatives of (omega_n, zeta) with respect to (Re, Im) of a pole; shape (2, 2)."""
     re, im, size = pole.real, pole.imag, abs(pole)
-    of_frequency = [re / size / (2.0 * np.pi), im / size / (2.0 * np.pi)]
-    return np.array([of_frequency, [-(im**2) / size**3, re * im / size**3]])
+    return np.array([[re / size, im / size], [-(im**2) / size**3, re * im / size**3]])
 
 
 def own_problem(problem: Problem, fit: PoleFit, modes: NDArray[np.intp]) -> Problem:

@@ -159,9 +159,9 @@ class Base:
     channels: NDArray[np.intp]
     is_one: bool
 
-    def times(self, columns: LongArray, rows: slice) -> FloatArray:
-        """Some rows of columns, times weights."""
-        return columns[rows] if self.is_one else columns[rows] * self.weights[rows, None]
+    def times(self, some: FloatArray, rows: slice) -> FloatArray:
+        """These rows of columns times weights; not a copy where these are 1."""
+        return some if self.is_one else some * self.weights[rows, None]
 
     def own(self, values: FloatArray) -> FloatArray:
         """Columns of its channels; not a copy where these are all."""
@@ -259,7 +259,7 @@ class Weighting:
         beside = np.zeros((0 if fitted is None else fitted.shape[1], count))
         for rows in self._blocks(base):
             some = columns[rows]
-            weighted = some if base.is_one else some * base.weights[rows, None]
+            weighted = base.times(some, rows)
             baseline += self._transposed(rows) @ weighted
             inner += some.T @ weighted
             own[:, base.channels] += weighted.T @ base.own(values[rows])
@@ -288,14 +288,14 @@ class Weighting:
         """``B^T W right``, summed like `_product`."""
         total = np.zeros((self.splines.shape[1], right.shape[1]))
         for rows in self._blocks(base):
-            total += self._transposed(rows) @ base.times(right, rows)
+            total += self._transposed(rows) @ base.times(right[rows], rows)
         return total
 
     def _product(self, base: Base, left: LongArray, right: LongArray) -> FloatArray:
         """``left^T W right``, summed over some samples at a time: no factor is held for all of them."""
         total = np.zeros((left.shape[1], right.shape[1]))
         for rows in self._blocks(base):
-            total += left[rows].T @ base.times(right, rows)
+            total += left[rows].T @ base.times(right[rows], rows)
         return total
 
     def _blocks(self, base: Base) -> Iterator[slice]:
