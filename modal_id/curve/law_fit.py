@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from modal_id.curve.laws import Law, Rates
+from modal_id.data import row_blocks
 from modal_id.solve import maximum, shortened
 from tracker import ComplexArray, FloatArray
 
@@ -85,8 +86,7 @@ class _Path:
     def wave(self, time_s: FloatArray) -> ComplexArray:
         excess = _integral(self.u, self.excess_rad_s / self.rates.decay)
         found = np.empty(time_s.size, dtype=complex)
-        for first in range(0, time_s.size, _BLOCK):
-            rows = slice(first, first + _BLOCK)
+        for rows in row_blocks(time_s.size, _BLOCK):
             t = time_s[rows]
             phase = np.interp(t, self.time_s, excess) + float(self.rates.angular[-1]) * t
             found[rows] = np.exp(np.interp(t, self.time_s, self.u) + 1j * phase)

@@ -27,6 +27,7 @@ from .samples import neighbour_sums as neighbour_sums
 from .samples import outlier_share as outlier_share
 from .samples import reject_outliers as reject_outliers
 from .samples import rough_variance as rough_variance
+from .samples import row_blocks as row_blocks
 from .samples import runs as runs
 from .samples import spikes as spikes
 from .samples import without_spikes as without_spikes

@@ -5,6 +5,7 @@ Outliers are detected in the residual of the fitted model and never by filtering
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -233,6 +234,11 @@ def neighbour_sums(n: int, factor: int) -> tuple[csr_array, NDArray[np.intp]]:
     starts = np.append(np.arange(0, n, factor, dtype=np.int32), np.int32(n))
     sums = csr_array((np.ones(n), np.arange(n, dtype=np.int32), starts), shape=(starts.size - 1, n))
     return sums, np.diff(starts)
+
+
+def row_blocks(count: int, size: int) -> Iterator[slice]:
+    """Slices of `size` rows, the last perhaps of fewer, that cover `count` rows."""
+    yield from (slice(first, min(first + size, count)) for first in range(0, count, size))
 
 
 def runs(mask: BoolArray) -> NDArray[np.intp]:

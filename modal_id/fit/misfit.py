@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal_id.data import row_blocks
 from modal_id.fit.modal_fit import ModalFit
 from modal_id.fit.position_errors import Omissions
 from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
@@ -84,8 +85,7 @@ def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None
     # Coloured noise has more power at the modes than white noise.
     coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in strongest_hz.tolist()))
     excess, moved = np.zeros(count), np.zeros(count)
-    for first in range(0, count, max(1, _BLOCK // length)):
-        block = slice(first, min(first + max(1, _BLOCK // length), count))
+    for block in row_blocks(count, max(1, _BLOCK // length)):
         rows = slice(block.start * length, block.stop * length)
         waves = np.exp(2j * np.pi * time_s[block, :, None] * strongest_hz)
         baseline = linear.splines[rows] @ linear.slow

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from modal_id.data import Projection
+from modal_id.data import Projection, row_blocks
 from modal_id.fit.modal_fit import ModalFit
 from modal_id.fit.model_order import refit
 from modal_id.solve import pole_slopes
@@ -71,8 +71,7 @@ class Omissions:
             return self.model
         data = self.model.data
         values = data.values.copy()
-        for first in range(0, data.time_s.size, _BLOCK):
-            rows = slice(first, first + _BLOCK)
+        for rows in row_blocks(data.time_s.size, _BLOCK):
             values[rows] -= self.mean(rows)
         corrected = replace(data, values=np.where(data.weights > 0.0, values, data.values))
         return refit(self.model, self.model.fit.poles, corrected)
@@ -315,7 +314,7 @@ class _Functions:
 
     def blocks(self) -> Iterator[slice]:
         """Rows of all samples, some at a time."""
-        yield from (slice(b, b + _BLOCK) for b in range(0, self.model.data.time_s.size, _BLOCK))
+        return row_blocks(self.model.data.time_s.size, _BLOCK)
 
     def columns(self, rows: slice) -> Iterator[FloatArray]:
         """For each channel of the model: slopes of the poles, the shared functions, its own; shape (rows, c)."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modal_id.data import FitData, bandwidth_hz, baseline_splines
+from modal_id.data import FitData, bandwidth_hz, baseline_splines, row_blocks
 from modal_id.fit import LEAST_WINDOW
 from modal_id.modes.shapes import in_phase
 from modal_id.results import Check, Identification, IdentifiedMode
@@ -212,8 +212,7 @@ def _products(
 ) -> FloatArray:
     """Inner products of the columns of one channel: its waves, slopes and vibration, then `own`; shape (7, 7)."""
     total = np.zeros((_OWN + 1, _OWN + 1))
-    for first in range(0, time_s.size, _BLOCK):
-        rows = slice(first, first + _BLOCK)
+    for rows in row_blocks(time_s.size, _BLOCK):
         t = time_s[rows]
         phase = 2.0 * np.pi * line_hz * t
         waves, slopes = _waves(mode, t), _slopes(mode, t, channel)

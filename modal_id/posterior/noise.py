@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.sparse import csr_array
 
-from modal_id.data import FitData
+from modal_id.data import FitData, row_blocks
 from modal_id.fit import AmplitudeFit, ModalFit, nonlinear_decay, nyquist_hz, own_decay
 from modal_id.solve import (
     Beside,
@@ -108,7 +108,7 @@ class BandTransform:
         """The blocks, some at a time: their rotations and the waves of their samples take memory."""
         count = self._mean_s.size
         at_once = max(1, min(_ROTATIONS // self.size, _SAMPLES * count // self._time_s.size))
-        yield from (slice(first, min(first + at_once, count)) for first in range(0, count, at_once))
+        return row_blocks(count, at_once)
 
     def _samples(self, blocks: slice) -> tuple[slice, NDArray[np.int32]]:
         """Rows of the samples of some blocks, and the edges of the blocks among them."""
@@ -167,7 +167,7 @@ def _rotated(
         return np.asarray(rotation @ (cos + 1j * sin).astype(np.complex64), dtype=complex)
     # A few splines at a time: dense, all of them take more memory than the record.
     cos, sin = cos.tocsc(), sin.tocsc()
-    parts = (slice(first, first + _SPLINES) for first in range(0, cos.shape[1], _SPLINES))
+    parts = row_blocks(cos.shape[1], _SPLINES)
     return np.hstack([_rotated(rotation, cos[:, part].toarray(), sin[:, part].toarray()) for part in parts])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from modal_id.data import row_blocks
 from modal_id.solve import (
     RIDGE,
     BandedFactor,
@@ -212,9 +214,8 @@ class Columns:
         others = mode_functions(time, np.delete(self.fit.poles, self.mode))
         return np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
 
-    def _blocks(self) -> list[slice]:
-        n = self.problem.data.time_s.size
-        return [slice(begin, min(begin + _BLOCK, n)) for begin in range(0, n, _BLOCK)]
+    def _blocks(self) -> Iterator[slice]:
+        return row_blocks(self.problem.data.time_s.size, _BLOCK)
 
 
 @dataclass(frozen=True)

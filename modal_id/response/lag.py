@@ -11,7 +11,7 @@ from scipy.fft import irfft
 from scipy.optimize import minimize_scalar
 from scipy.signal import kaiser_beta
 
-from modal_id.data import BEYOND_SD
+from modal_id.data import BEYOND_SD, row_blocks
 from modal_id.response.columns import FIXED, PER_MODE, Channel, Samples
 from modal_id.response.known_input import TUNING as TRIED
 from modal_id.response.known_input import (
@@ -321,8 +321,7 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     of_driven, of_free = np.real(np.conj(driven.T) @ driven), np.real(np.conj(free.T) @ free)
     of_outputs = np.real(np.conj(free.T) @ outputs)
     total = np.zeros(shifts.size)
-    for start in range(0, shifts.size, _TOGETHER):
-        chosen = slice(start, start + _TOGETHER)
+    for chosen in row_blocks(shifts.size, _TOGETHER):
         left = _left(of_driven, of_free, of_outputs, turned[shifts[chosen] % (2 * n)])
         total[chosen] = size * np.sum(np.log(left), axis=1)
     return total

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from modal_id.data import FitData, neighbour_sums
+from modal_id.data import FitData, neighbour_sums, row_blocks
 from modal_id.solve.weighting import (
     BLOCK_ROWS,
     BandedFactor,
@@ -73,8 +73,8 @@ class Problem:
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged, close to it where they hardly differ."""
         parts = []
-        for first in range(0, self.data.time_s.size, factor * BLOCK_ROWS):
-            own = self.sparse[first : first + factor * BLOCK_ROWS]
+        for rows in row_blocks(self.data.time_s.size, factor * BLOCK_ROWS):
+            own = self.sparse[rows]
             total, count = neighbour_sums(own.shape[0], factor)
             parts.append(scaled_rows(total @ own, 1.0 / count))
         return Problem(self.data.averaged(factor), vstack(parts, format="csr"))
@@ -178,8 +178,7 @@ def _baseline(splines: SparseColumns, slow: FloatArray) -> FloatArray:
     """Baseline with these coefficients, shape (b, k); shape (n, k)."""
     n = splines.shape[0]
     found = np.empty((n, slow.shape[1]))
-    for first in range(0, n, BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
+    for rows in row_blocks(n, BLOCK_ROWS):
         found[rows] = some_rows(splines, rows) @ slow
     return found
 
@@ -190,8 +189,7 @@ def _residual(
     """Values less baseline and modes, shape (n, k), and their weighted sums of squares, shape (k,)."""
     values, weights = np.ascontiguousarray(problem.data.values), np.ascontiguousarray(problem.data.weights)
     residual, rss = np.empty(values.shape), np.zeros(values.shape[1])
-    for first in range(0, values.shape[0], BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
+    for rows in row_blocks(values.shape[0], BLOCK_ROWS):
         splines = some_rows(problem.sparse, rows)
         _subtract(
             values[rows],
@@ -246,8 +244,7 @@ def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) ->
     coefficients = solve(own.factor, score)
     slow = part.factor.solve(moment) - own.slow @ coefficients
     left = values - _baseline(problem.sparse, slow)
-    for first in range(0, values.shape[0], BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
+    for rows in row_blocks(values.shape[0], BLOCK_ROWS):
         left[rows] -= linear.columns[rows] @ coefficients
     return np.asarray(left)
 

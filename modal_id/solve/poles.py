@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.data import FEW_VALUES, FitData
+from modal_id.data import FEW_VALUES, FitData, row_blocks
 from modal_id.solve.linear import LinearSolution, Problem, projected_grams, solve_linear
 from modal_id.solve.weighting import BLOCK_ROWS, LongArray, pseudo_inverse
 from tracker import ComplexArray, FloatArray
@@ -118,8 +118,7 @@ class ModeColumns:
 def motion(time_s: FloatArray, poles: ComplexArray, amplitudes: ComplexArray) -> FloatArray:
     """Real part of modes with these amplitudes, shape (m, k), in each channel; shape (n, k)."""
     columns, total = ModeColumns(time_s, poles), np.empty((time_s.size, amplitudes.shape[1]))
-    for first in range(0, time_s.size, BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
+    for rows in row_blocks(time_s.size, BLOCK_ROWS):
         total[rows] = np.real(columns.functions(rows) @ amplitudes)
     return total
 

@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dpbtrs, dpotrf, dpotrs, dtbtrs
 from scipy.sparse import csc_array, csr_array
 
-from modal_id.data import FitData
+from modal_id.data import FitData, row_blocks
 from tracker import ComplexArray, FloatArray
 
 # Largest share of samples in which the weights of groups that share products may differ: it limits the computing time.
@@ -257,7 +257,7 @@ class Weighting:
         baseline, inner = np.zeros((self.splines.shape[1], count)), np.zeros((count, count))
         own = np.zeros((count, values.shape[1]))
         beside = np.zeros((0 if fitted is None else fitted.shape[1], count))
-        for rows in self._blocks(base):
+        for rows in row_blocks(base.weights.size, BLOCK_ROWS):
             some = columns[rows]
             weighted = base.times(some, rows)
             baseline += self._transposed(rows) @ weighted
@@ -287,19 +287,16 @@ class Weighting:
     def _spline_product(self, base: Base, right: LongArray) -> FloatArray:
         """``B^T W right``, summed like `_product`."""
         total = np.zeros((self.splines.shape[1], right.shape[1]))
-        for rows in self._blocks(base):
+        for rows in row_blocks(base.weights.size, BLOCK_ROWS):
             total += self._transposed(rows) @ base.times(right[rows], rows)
         return total
 
     def _product(self, base: Base, left: LongArray, right: LongArray) -> FloatArray:
         """``left^T W right``, summed over some samples at a time: no factor is held for all of them."""
         total = np.zeros((left.shape[1], right.shape[1]))
-        for rows in self._blocks(base):
+        for rows in row_blocks(base.weights.size, BLOCK_ROWS):
             total += left[rows].T @ base.times(right[rows], rows)
         return total
-
-    def _blocks(self, base: Base) -> Iterator[slice]:
-        yield from (slice(b, b + BLOCK_ROWS) for b in range(0, base.weights.size, BLOCK_ROWS))
 
     def baseline_normal(self) -> list[FloatArray]:
         """``B^T W B``, which is banded: each as by `normal_band`."""
@@ -351,8 +348,7 @@ def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
 def _normal(splines: SparseColumns, base: Base) -> FloatArray:
     """``B^T W B`` of the weights of a base, as by `normal_band`."""
     total = np.zeros((1, splines.shape[1]))
-    for first in range(0, splines.shape[0], BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
+    for rows in row_blocks(splines.shape[0], BLOCK_ROWS):
         total = _sum_of_bands(total, normal_band(some_rows(splines, rows), base.weights[rows]))
     return total
 
