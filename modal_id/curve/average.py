@@ -18,11 +18,6 @@ from tracker import FloatArray
 class Tuning:
     """Laws of the damping and their average."""
 
-    #: [1] log odds against a law from which it is left out of the average
-    #: physics: exp(-40) of the weight.
-    negligible: float = 40.0
-    #: [1] number of points of the amplitude curve
-    points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
     adequate: float = 1.5
     #: [1] residual power over the noise from which a law is inadequate
@@ -32,6 +27,11 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+# Log odds against a law from which it is left out of the average: exp(-40) of the weight.
+_NEGLIGIBLE = 40.0
+# Number of points of the amplitude curve.
+_POINTS = 41
 
 # Prior sds of the changes over all amplitudes, relative to decay rate and frequency, over which splines and laws of
 # stiffness alone are averaged; of the others, the largest.
@@ -81,7 +81,7 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
         probability[fit.law.name] = probability.get(fit.law.name, 0.0) + float(weight)
     law = max(probability, key=lambda name: probability[name])
     laws = [fit for _, fit in fits]
-    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, TUNING.points - 1)])
+    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
     left = track.residual_power(best[1])
     doubt = float(np.clip((left - TUNING.adequate) / (TUNING.inadequate - TUNING.adequate), 0.0, 1.0))
     decay, decay_sd = _mixture(weights, laws, amplitude, 0, doubt)
@@ -107,7 +107,7 @@ def _log_weight(fit: tuple[float, LawFit]) -> float:
 
 
 def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
-    return _log_weight(best) - _log_weight(fit) < TUNING.negligible
+    return _log_weight(best) - _log_weight(fit) < _NEGLIGIBLE
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:

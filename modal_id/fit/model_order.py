@@ -54,14 +54,9 @@ class Tuning:
     #: [1] damping ratio from which a mode is strongly damped
     #: convention: That of a beam is weakly damped.
     strongly_damped: float = 0.02
-    #: [1] largest number of splines of the slow motion
-    max_splines: int = 300
     #: [1] amplitude over the strongest mode's below which a line is no mode
     #: convention: Such lines are rounding errors or artefacts of an integrator.
     relative_floor: float = 1e-4
-    #: [1] largest number of rounds of outlier rejection
-    #: convention: Samples at the limit may alternate forever.
-    max_cleanings: int = 2
     #: [1] probability that noise alone gives a further mode
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
@@ -76,6 +71,11 @@ class Tuning:
 
 
 TUNING = Tuning()
+
+# Largest number of splines of the slow motion.
+_MAX_SPLINES = 300
+# Largest number of rounds of outlier rejection. Samples at the limit may alternate forever.
+_MAX_CLEANINGS = 2
 FALSE_ALARM, HIGHEST_OVERTONE, PLACES = TUNING.false_alarm, TUNING.highest_overtone, TUNING.places
 
 
@@ -123,7 +123,7 @@ def wider_baseline(
     swing = _swings(fit, span)
     kept = fit.poles[~swing]
     lowest = float(np.min(frequency_hz(kept)))
-    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * TUNING.max_splines / span)
+    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * _MAX_SPLINES / span)
     if 1.2 * bandwidth_hz > cap or _leak(spectrum, span, frequency_hz(kept)) < TUNING.leak:
         return None
     return kept, cap
@@ -214,7 +214,7 @@ class _Search:
         # resembles outliers.
         cleaned = _clean(split, self.original_weights, self.lowest_hz)
         self.cleanings += 1
-        if cleaned is split or self.cleanings > TUNING.max_cleanings:
+        if cleaned is split or self.cleanings > _MAX_CLEANINGS:
             return split, True
         return cleaned, False
 

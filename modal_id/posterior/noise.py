@@ -41,19 +41,19 @@ class Tuning:
     #: [bins] distance from a mode below which bins are left out; its half-power half-width is added for the other
     #: modes
     own_bins: float = 1.25
-    #: [bins] largest number of bins in the band
-    max_bins: int = 150
     #: [1] share of white noise that the fit leaves in a bin, below which it is not used
     least_left: float = 0.5
-    #: [1] largest number of channels whose levels are averaged
-    #: statistics: Their standard deviation is then a few per cent.
-    most_channels: int = 32
     #: [1] prior sd of the exponent of a local power law
     #: convention: White, pink and brown noise lie at 0, -1 and -2.
     exponent_sd: float = 1.0
 
 
 TUNING = Tuning()
+
+# Largest number of bins in the band.
+_MAX_BINS = 150
+# Largest number of channels whose levels are averaged. Their standard deviation is then a few per cent.
+_MOST_CHANNELS = 32
 
 
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block. The
@@ -226,7 +226,7 @@ def channel_noise_level(model: ModalFit, mode: int, channels: FitData, residual:
     residual : array, shape (n, k)
         What the fit leaves in the channels.
     """
-    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, TUNING.most_channels).astype(int))
+    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, _MOST_CHANNELS).astype(int))
     problem = Problem(channels.channels(chosen), model.problem.baseline)
     linear = solve_linear(problem, ModeColumns(channels.time_s, model.fit.poles))
     columns, weights = np.zeros((residual.shape[0], 0)), np.zeros((chosen.size, 0, 0))
@@ -284,7 +284,7 @@ def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
     centre = float(frequency_hz(pole))
     width = TUNING.half_power_widths * abs(pole.real) / (2.0 * np.pi)
     half = max(TUNING.min_bins_aside / span, TUNING.relative_half_width * centre, width)
-    stride = max(1, int(np.ceil(2.0 * half * span / TUNING.max_bins)))
+    stride = max(1, int(np.ceil(2.0 * half * span / _MAX_BINS)))
     aside = int(half * span / stride)
     below = min(aside, int(0.6 * centre * span / stride))
     return centre, np.asarray(centre + (0.5 + stride * np.arange(-below, aside + 1.0)) / span)

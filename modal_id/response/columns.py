@@ -42,6 +42,7 @@ class Tuning:
 
 
 TUNING = Tuning()
+
 MOST_MISSING = TUNING.most_missing
 
 
