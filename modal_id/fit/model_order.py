@@ -252,10 +252,19 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
             if first is not None:
                 lower = [_alone(data, replace(candidate, frequency_hz=_hz(first) / n)) for n in overtones]
                 waves = [w for w in lower if w is not None and _is_overtone(_hz(first) / _hz(w))]
-                return min([first, *waves], key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
+                # beside the first one, the baseline would take a slow mode for drift
+                slow = [_alone(data, one) for one in found if _is_slow_mode(one, first)]
+                tried = [first, *waves, *(one for one in slow if one is not None)]
+                return min(tried, key=lambda one: float(np.sum(one.fit.linear.rss / variance)))
         excluded += [candidate.band for candidate in found]
     damped = fit_damped(data, start.residual, lowest_hz)
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
+
+
+def _is_slow_mode(candidate: Candidate, first: ModalFit) -> bool:
+    """Whether a line below those that may be modes beside the first one has too many cycles for a drift."""
+    hz = candidate.frequency_hz
+    return hz < first.lowest_line_hz and hz * first.data.span_s > TUNING.few_cycles
 
 
 def _alone(data: FitData, candidate: Candidate) -> ModalFit | None:

@@ -98,9 +98,7 @@ def by_information(fitted: Sequence[FittedDecay]) -> list[int]:
 
 def _uncertainty(model: ModalFit) -> tuple[bool, float]:
     """Whether the strongest motion may not decay, and the standard deviation of its damping ratio."""
-    fit = model.fit
-    strongest = int(np.argmax(np.sum(np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance, axis=1)))
-    pole, sd = complex(fit.poles[strongest]), float(fit.pole_sd[strongest, 0])
+    pole, sd = complex(model.fit.poles[model.strongest]), float(model.fit.pole_sd[model.strongest, 0])
     return bool(-pole.real <= DECAYS_SD * sd), sd / abs(pole)
 
 

@@ -1,4 +1,4 @@
-"""Modes of waves whose tops are missing, because the recorder was saturated."""
+"""Which line is the first mode: of a wave whose tops are missing, and below the drift that a faster mode allows."""
 
 import numpy as np
 import pytest
@@ -32,3 +32,15 @@ def test_a_clipped_wave_is_no_overtone(seed):
     mode = max(found.modes, key=lambda one: one.amplitude)
     errors = in_sd(mode, f, zeta)
     assert np.sum(np.square(errors)) < chi2.isf(1e-4, 2), f"{mode.frequency_hz} for {f} Hz; in sd {errors}"
+
+
+def test_a_slow_mode_is_no_drift_beside_a_faster_one_that_stands_out_more():
+    """22 cycles at 1.12 Hz: splines up to 1 Hz, which drift beside 29.6 Hz may need, take most of it."""
+    t = np.arange(2000) / 100.0
+    truths = {1.121: 0.0027, 29.578: 0.00042}
+    y = sum(np.exp(pole_of(f, zeta) * t).real for f, zeta in truths.items())
+    y = y + 0.004 * np.random.default_rng(1).standard_normal(t.size)
+    found = quick(series_of(t, y))
+    assert len(found.modes) == len(truths), found.modes
+    for mode, (f, zeta) in zip(found.modes, truths.items(), strict=True):
+        assert np.sum(np.square(in_sd(mode, f, zeta))) < chi2.isf(1e-4, 2), mode
