@@ -330,10 +330,17 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
     """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs."""
     fit = model.fit
     joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
-    if np.any(np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > OWN_BAND):
+    if _moved(model, joint):
         return None
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     return None if strength[-1] < TUNING.relative_floor * np.max(strength) else joint
+
+
+def _moved(before: ModalFit, after: ModalFit) -> bool:
+    """Whether a mode is another one beside one more: by 3 %, and by half of the resolution where it has few cycles."""
+    hz = frequency_hz(before.fit.poles)
+    most_hz = np.maximum(OWN_BAND * hz, 0.5 / before.data.span_s)
+    return bool(np.any(np.abs(frequency_hz(after.fit.poles)[: hz.size] - hz) > most_hz))
 
 
 def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
@@ -345,11 +352,10 @@ def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
         hz = frequency_hz(joint.fit.poles)
         pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
         apart = np.abs(hz[:-1] / hz[-1] - 1.0) > OWN_BAND
-        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > OWN_BAND
         if (
             joint.fit.converged
             and np.all(apart)
-            and not np.any(moved)
+            and not _moved(model, joint)
             and strength[-1] > TUNING.least_damped * np.max(strength)
             and TUNING.strongly_damped < float(damping_ratio(pole)) < MAX_DAMPING
             and lowest < hz[-1] < nyquist_hz(data.time_s)
