@@ -104,3 +104,13 @@ def test_real_answers_make_a_table():
     text = table({"before": lines, "after": lines}, SETS)
     assert "| records | 2 | 2 |" in text
     assert "wrong: only before 0 [], only after 0 []" in text
+
+
+def test_a_drift_of_a_few_cycles_that_is_the_first_line_keeps_no_mode_out():
+    """A fit of the drift alone is off by less than half of its resolution, but by more than the 3 % of a mode."""
+    seed = 14535
+    truth, modes = scene(seed).modes, answer("parts", seed)["modes"]
+    for f, zeta in truth:
+        mode = min(modes, key=lambda one: abs(one["frequency_hz"] - f))
+        assert abs(mode["frequency_hz"] - f) < 4.0 * mode["frequency_sd_hz"], f"{mode} for {f} Hz"
+        assert abs(mode["zeta"] - zeta) < 4.0 * mode["zeta_sd"], f"{mode} for {zeta}"

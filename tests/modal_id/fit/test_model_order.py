@@ -6,8 +6,6 @@ from kit.identified import in_sd, quick
 from kit.series import pole_of, series_of
 from scipy.stats import chi2
 
-from benchmarks.record_scenes import scene
-
 # The plain spectrum of some of them is highest at the third overtone, which then kept out the wave itself.
 SEEDS = [
     *(pytest.param(seed, id=str(seed)) for seed in (0, 4, 13, 20)),
@@ -46,12 +44,3 @@ def test_a_slow_mode_is_no_drift_beside_a_faster_one_that_stands_out_more():
     assert len(found.modes) == len(truths), found.modes
     for mode, (f, zeta) in zip(found.modes, truths.items(), strict=True):
         assert np.sum(np.square(in_sd(mode, f, zeta))) < chi2.isf(1e-4, 2), mode
-
-
-def test_a_drift_of_a_few_cycles_that_is_the_first_line_keeps_no_mode_out():
-    """A fit of the drift alone is off by less than half of its resolution, but by more than the 3 % of a mode."""
-    record = scene(14535)
-    found = quick(record.series)
-    for f, zeta in record.modes:
-        mode = min(found.modes, key=lambda one: abs(one.frequency_hz - f))
-        assert max(np.abs(in_sd(mode, f, zeta))) < 4.0, f"{mode} for {f} Hz"
