@@ -59,15 +59,14 @@ class Tuning:
     samples_per_cycle: float = 8.0
     #: [cycles] length from which a piece is long
     many_cycles: float = 12.0
+    #: [1] largest number of divisions of a record
+    most_splits: int = 6
     #: [1] share of the motion's power that a fit may leave where free decays explain no piece
     #: convention: It stands with wide intervals.
     most_rough: float = 0.1
 
 
 TUNING = Tuning()
-
-# Largest number of divisions of a record.
-_MOST_SPLITS = 6
 
 
 @dataclass(frozen=True)
@@ -279,7 +278,7 @@ def fit_decays(
     `named_hz` are frequencies at which a mode is fitted even where the search finds none.
     """
     fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz, named_hz)
-    splits = 0 if whole else _MOST_SPLITS
+    splits = 0 if whole else TUNING.most_splits
     pieces: list[Piece] = []
     for decay in parts.decays:
         pieces += fitter.pieces(decay.onset, decay.end_s, splits)

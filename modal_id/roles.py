@@ -11,6 +11,7 @@ import numpy as np
 from modal_id.assemble import assemble, assemble_driven
 from modal_id.data import Prepared
 from modal_id.modes import (
+    DECAYS_SD,
     SAME_MOTION,
     FittedDecay,
     by_information,
@@ -166,7 +167,8 @@ def maybe_held(
         doubts.append(float(np.nan_to_num(1.0 - last.driven_probability, nan=1.0 - PRIOR)))
     if not doubts and onset.source == "interruption":
         doubts.append(HAND)
-    free = any(m.damping_ratio + 2.0 * m.damping_ratio_sd < HELD_LEAST and not m.wrong_flags for m in modes)
+    least = (m.damping_ratio + DECAYS_SD * m.damping_ratio_sd for m in modes if not m.wrong_flags)
+    free = min(least, default=np.inf) < HELD_LEAST
     doubt = 0.0 if free or onset.source == "peak" else max(doubts, default=0.0)
     for mode in modes:
         if mode.damping_ratio > HELD_LEAST and may_be_driven(doubt):

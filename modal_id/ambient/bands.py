@@ -39,12 +39,12 @@ class Tuning:
     #: [1] width of a sum of neighbouring frequencies over the distance from the nearest peak
     #: physics: The spectrum of a mode is nearly straight over it: the mean and the middle differ by 0.3 %.
     merged: float = 0.1
+    #: [peaks] most peaks that are examined
+    #: convention: Limits the computing time.
+    most_candidates: int = 24
 
 
 TUNING = Tuning()
-
-# Most peaks that are examined. Limits the computing time.
-_MOST_CANDIDATES = 24
 
 
 class Peak(NamedTuple):
@@ -122,7 +122,7 @@ def find_peaks_of(spectrum: Spectrum) -> list[Peak]:
         ):
             kept.append(peak)
     kept.sort(key=lambda peak: -peak.strength)
-    return kept[:_MOST_CANDIDATES]
+    return kept[: TUNING.most_candidates]
 
 
 def _peaks_at(curve: SingularValues, bins: int) -> list[Peak]:

@@ -21,6 +21,16 @@ class Tuning:
     #: [1] prior sd of the exponents with which the background changes over a band
     #: physics: Far above the resonance of another mode its displacement falls with the fourth power of the frequency.
     exponent_sd: float = 2.0
+    #: [1] predicted gain in log likelihood below which the maximum is reached
+    #: statistics: A hundredth of the gain that moves a parameter by one sd, 0.5.
+    converged: float = 5e-3
+    #: [steps] number of steps after which a fit that falls short is given up
+    patience: int = 6
+    #: [1] gain that a fit may still have over that which its next step predicts
+    #: measurement: Fits that gained more than twice the prediction of the seventh step are not seen.
+    optimism: float = 3.0
+    #: [1] largest change of the logarithm of a frequency over that of the damping ratio in a step
+    longest: float = 0.7
     #: [1] prior sd of the coherence of a mode's force with the background
     #: physics: Forces of different modes are partly coherent.
     coherent_sd: float = 0.5
@@ -30,6 +40,9 @@ class Tuning:
     #: [1] largest exponent
     #: physics: That of a displacement far above a resonance.
     most_exponent: float = 4.0
+    #: [1] change of a logarithm for difference quotients
+    #: convention: Rounding and curvature are both below 1e-7 of the slope.
+    difference: float = 1e-6
     #: [1] largest half-width of a mode over the width of the band
     #: physics: The spectrum of a wider one is not told from the background.
     widest: float = 0.125
@@ -41,20 +54,7 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Predicted gain in log likelihood below which the maximum is reached. A hundredth of the gain that moves a
-# parameter by one sd, 0.5.
-_CONVERGED = 5e-3
-# Number of steps after which a fit that falls short is given up.
-_PATIENCE = 6
-# Gain that a fit may still have over that which its next step predicts. Fits that gained more than twice the
-# prediction of the seventh step are not seen.
-_OPTIMISM = 3.0
-# Largest change of the logarithm of a frequency over that of the damping ratio in a step.
-_LONGEST = 0.7
 MOST_MODES, WIDEST = TUNING.most_modes, TUNING.widest
-# Change of a logarithm for difference quotients: rounding and curvature are both below 1e-7 of the slope.
-_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -327,7 +327,7 @@ def fit_band(
     for count in range(MAX_ITERATIONS):
         scale = np.maximum(np.diag(information), 1e-12)
         step = np.asarray(np.linalg.solve(information + damping * np.diag(scale), gradient), dtype=np.float64)
-        if count > _PATIENCE and value + _OPTIMISM * float(gradient @ step) < wanted:
+        if count > TUNING.patience and value + TUNING.optimism * float(gradient @ step) < wanted:
             break
         trial = _limited(model, model.vector + _shortened(step, model.count), data, limits_hz)
         reached = log_likelihood(trial, data)
@@ -338,7 +338,7 @@ def fit_band(
             continue
         gain, value, model = reached - value, reached, trial
         gradient, information = _score(model, data)
-        if gain < _CONVERGED and damping < 1.0:
+        if gain < TUNING.converged and damping < 1.0:
             break
         damping = max(0.1 * damping, 1e-9)
     return BandFit(model, data, value, information)
@@ -363,7 +363,7 @@ def _whitened(model: BandModel, data: BandData) -> tuple[BandModel, BandData]:
 
 def _shortened(step: FloatArray, count: int) -> FloatArray:
     longest = float(np.max(np.abs(step[: 2 * count]), initial=0.0))
-    return step * min(1.0, _LONGEST / max(longest, 1e-300))
+    return step * min(1.0, TUNING.longest / max(longest, 1e-300))
 
 
 def _limited(
@@ -418,8 +418,8 @@ def _mode_changes(
     for unit in (1.0, 1j):
         for i, j in zip(rows, columns, strict=True):
             moved = model.mixing.copy()
-            moved[i, j] += _DIFFERENCE * unit
-            slope = (replace(model, mixing=moved).lower - lower) / _DIFFERENCE
+            moved[i, j] += TUNING.difference * unit
+            slope = (replace(model, mixing=moved).lower - lower) / TUNING.difference
             changes.append((white_shapes * response[:, None, :]) @ slope)
     changes += [
         inverse[:, :, row, None] * inner[:, None, t + mode, :] for row in range(r) for mode in range(m)
@@ -442,10 +442,10 @@ def _response_slopes(model: BandModel, data: BandData, mode: int) -> tuple[Compl
         sides = []
         for sign in (1.0, -1.0):
             moved = values.copy()
-            moved[axis] += sign * _DIFFERENCE
+            moved[axis] += sign * TUNING.difference
             hz, zeta = (float(x) for x in np.exp(moved))
             sides.append(transfer(data.frequency_hz, hz, zeta, data.samples, data.step_s))
-        slopes.append((sides[0] - sides[1]) / (2.0 * _DIFFERENCE))
+        slopes.append((sides[0] - sides[1]) / (2.0 * TUNING.difference))
     return slopes[0], slopes[1]
 
 

@@ -47,12 +47,11 @@ class Tuning:
     #: measurement: One mode fitted to two (seeds 1131, 1116) has a misfit of 12 and 8, 3 and 3 with means of 8; seven
     #: other bands have 2.2 at most.
     misfit_bins: int = 32
+    #: [points] frequencies at which a further mode is tried
+    places: int = 81
 
 
 TUNING = Tuning()
-
-# Number of frequencies at which a further mode is tried.
-_PLACES = 81
 WIDTHS = TUNING.widths
 
 
@@ -220,7 +219,7 @@ def further_modes(
     inverse = np.linalg.inv(matrix)
     excess = np.real(inverse @ (data.cross - data.bins[:, None, None] * matrix) @ inverse)
     halves = np.unique(np.outer(half_widths_hz, [1.0 / WIDTHS, 1.0, WIDTHS]))
-    places = np.linspace(*limits_hz, _PLACES)[1:-1]
+    places = np.linspace(*limits_hz, TUNING.places)[1:-1]
     hz, half = (axis.ravel() for axis in np.meshgrid(places, halves))
     half = np.minimum(half, WIDEST * (limits_hz[1] - limits_hz[0]))
     zeta = half / hz

@@ -18,20 +18,24 @@ from tracker import FloatArray
 class Tuning:
     """Laws of the damping and their average."""
 
+    #: [1] log odds against a law from which it is left out of the average
+    #: physics: exp(-40) of the weight.
+    negligible: float = 40.0
+    #: [1] number of points of the amplitude curve
+    points: int = 41
     #: [1] residual power over the noise up to which a law is adequate
     adequate: float = 1.5
     #: [1] residual power over the noise from which a law is inadequate
     inadequate: float = 2.5
     #: [1] residual power over that of constant values below which a law explains their misfit in any case
     mostly_explained: float = 0.01
+    #: [1] smallest amplitude of the curve over the largest above which no decade of amplitudes is seen
+    #: convention: A tenth.
+    decade: float = 0.1
 
 
 TUNING = Tuning()
-
-# Log odds against a law from which it is left out of the average: exp(-40) of the weight.
-_NEGLIGIBLE = 40.0
-# Number of points of the amplitude curve.
-_POINTS = 41
+_ADEQUATE = TUNING.adequate
 
 # Prior sds of the changes over all amplitudes, relative to decay rate and frequency, over which splines and laws of
 # stiffness alone are averaged; of the others, the largest.
@@ -41,7 +45,7 @@ _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 _POWERS = (2.0, 4.0)
 
 
-def explains(curve: AmplitudeCurve, limit: float = TUNING.adequate) -> bool:
+def explains(curve: AmplitudeCurve, limit: float = _ADEQUATE) -> bool:
     """Whether a curve leaves less than `limit` times the noise at the mode, or a small part of what constants leave."""
     return curve.residual_power < max(limit, TUNING.mostly_explained * curve.constant_residual_power)
 
@@ -51,7 +55,7 @@ def is_one_curve(curve: AmplitudeCurve | None) -> bool:
 
     Over a smaller range, a curve may imitate part of a beat.
     """
-    return curve is not None and curve.amplitude[1] <= 0.1 * curve.amplitude[-1] and explains(curve)
+    return curve is not None and curve.amplitude[1] <= TUNING.decade * curve.amplitude[-1] and explains(curve)
 
 
 def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> AmplitudeCurve | None:
@@ -81,7 +85,7 @@ def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> 
         probability[fit.law.name] = probability.get(fit.law.name, 0.0) + float(weight)
     law = max(probability, key=lambda name: probability[name])
     laws = [fit for _, fit in fits]
-    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
+    amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, TUNING.points - 1)])
     left = track.residual_power(best[1])
     doubt = float(np.clip((left - TUNING.adequate) / (TUNING.inadequate - TUNING.adequate), 0.0, 1.0))
     decay, decay_sd = _mixture(weights, laws, amplitude, 0, doubt)
@@ -107,7 +111,7 @@ def _log_weight(fit: tuple[float, LawFit]) -> float:
 
 
 def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
-    return _log_weight(best) - _log_weight(fit) < _NEGLIGIBLE
+    return _log_weight(best) - _log_weight(fit) < TUNING.negligible
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:

@@ -13,13 +13,25 @@ from modal_id.data import row_blocks
 from modal_id.solve import maximum, shortened
 from tracker import ComplexArray, FloatArray
 
+
+@dataclass(frozen=True)
+class Tuning:
+    """Integration of the amplitude."""
+
+    #: [1] depth, in log amplitude below the largest, beyond which rates are those at zero amplitude
+    #: physics: exp(-14) = 8e-7 of the largest.
+    deepest: float = 14.0
+    #: [1] log amplitude below the largest that stands for zero amplitude
+    far: float = 1e4
+    #: [1] factor on the depth where it does not suffice
+    deeper: float = 1.5
+
+
+TUNING = Tuning()
+
+
 # Points of the quadrature; the trapezoidal rule then errs by about 1e-5 in ln a and in the phase in radians.
 _POINTS = 800
-# Depth, in log amplitude below the largest, beyond which rates are those at zero amplitude: exp(-14) = 8e-7. A smaller
-# depth is used where it suffices; else it grows by the factor.
-_DEEPEST, _DEEPER = 14.0, 1.5
-# Log amplitude below the largest that stands for zero amplitude.
-_FAR = 1e4
 
 
 # Samples at a time.
@@ -95,13 +107,13 @@ class _Path:
 
 def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
     # Depths in steps: small changes of the parameters leave the points of the quadrature unchanged.
-    steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(_DEEPER)
-    depth = min(float(_DEEPER ** np.ceil(steps)), _DEEPEST)
+    steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(TUNING.deeper)
+    depth = min(float(TUNING.deeper ** np.ceil(steps)), TUNING.deepest)
     while True:
         u = np.linspace(0.0, -depth, _POINTS)
-        if depth == _DEEPEST:
+        if depth == TUNING.deepest:
             # One interval of constant rates to the end of any record.
-            u = np.append(u, -_FAR)
+            u = np.append(u, -TUNING.far)
         rates = law.rates(np.exp(u), parameters)
         # Rates at amplitudes that the record does not reach are not restricted.
         reached = int(np.argmin(np.append(rates.decay > 0.0, False)))
@@ -111,9 +123,9 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
         time = _integral(u, 1.0 / rates.decay)
         if time[-1] >= end_s:
             return _Path(u, rates, time, rates.angular - float(rates.angular[-1]))
-        if reached < _POINTS or depth == _DEEPEST:
+        if reached < _POINTS or depth == TUNING.deepest:
             return None
-        depth = min(_DEEPER * depth, _DEEPEST)
+        depth = min(TUNING.deeper * depth, TUNING.deepest)
 
 
 def _integral(u: FloatArray, values: FloatArray) -> FloatArray:

@@ -22,6 +22,8 @@ class Tuning:
     #: [cycles] shortest part of a record in which a mode is told from slow motion
     #: physics: In one cycle, no bin above zero lies below the frequency of the mode.
     least_cycles: float = 2.0
+    #: [1] largest number of blocks
+    max_blocks: int = 300
     #: [sd] amplitude below which the blocks that follow are no longer used
     least_snr: float = 4.0
     #: [1] sum of squared amplitudes over noise variance, to the end, that determines the rates
@@ -29,20 +31,17 @@ class Tuning:
     least_energy: float = 100.0
     #: [blocks] half-width of the window over which the noise is averaged
     window: int = 7
+    #: [1] number of passes, each of which estimates the noise and repeats the fit
+    passes: int = 3
     #: [1] knots per unit of the log amplitude
     knots_per_unit: float = 3.0
+    #: [1] largest number of knots
+    most_knots: int = 16
     #: [blocks] fewest blocks per knot
     blocks_per_knot: int = 4
 
 
 TUNING = Tuning()
-
-# Largest number of blocks.
-_MAX_BLOCKS = 300
-# Number of passes, each of which estimates the noise and repeats the fit.
-_PASSES = 3
-# Largest number of knots.
-_MOST_KNOTS = 16
 LEAST_CYCLES = TUNING.least_cycles
 
 
@@ -84,7 +83,7 @@ def split_into_blocks(
     """
     data = problem.data
     time_s = data.time_s
-    cycles = max(LEAST_CYCLES, np.ceil(data.span_s * frequency_hz / _MAX_BLOCKS))
+    cycles = max(LEAST_CYCLES, np.ceil(data.span_s * frequency_hz / TUNING.max_blocks))
     number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     at_once = max(1, _SAMPLES * (edges.size - 1) // number.size)
@@ -206,7 +205,7 @@ class Track:
     def spline(self, decay_change: float = DECAY_CHANGE, angular_change: float = ANGULAR_CHANGE) -> SplineLaw:
         """Spline over the track's amplitudes; changes relative to the rates of the constant pole."""
         bend = min(2.0 * self.lowest, 1.0)
-        most = min(_MOST_KNOTS, self.time_s.size // TUNING.blocks_per_knot)
+        most = min(TUNING.most_knots, self.time_s.size // TUNING.blocks_per_knot)
         knots = int(np.clip(2.0 + np.ceil(TUNING.knots_per_unit * np.log1p(1.0 / bend)), 3, most))
         return SplineLaw(knots, decay_change * self.decay, angular_change * self.angular, bend)
 
@@ -223,7 +222,7 @@ def follow(own: ModalFit) -> tuple[Track, LawFit | None] | None:
     seen = _Seen(alone, linear.amplitudes[0], linear.noise_variance, pole)
     wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
     track, fitted, variance = None, None, None
-    for _ in range(_PASSES):
+    for _ in range(TUNING.passes):
         track = None if wave is None else seen.track(wave, variance)
         if track is None:
             return None

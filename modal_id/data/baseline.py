@@ -24,11 +24,13 @@ class Tuning:
     #: [Hz] largest frequency of the baseline at first
     #: convention: `modal_id.fit.model_order` may raise it.
     ceiling_hz: float = 1.0
+    #: [1] number of values up to which functions of time are held in memory for all samples
+    #: convention: Limits the memory.
+    few_values: int = 500_000
 
 
 TUNING = Tuning()
-# Values up to which functions of time are held in memory for all samples.
-FEW_VALUES = 500_000
+FEW_VALUES = TUNING.few_values
 
 # Each sample lies in this many cubic splines; columns of a straight line.
 _OVERLAPPING, _OF_LINE = 4, 2

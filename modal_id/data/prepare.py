@@ -73,12 +73,11 @@ class Tuning:
     #: [1] range of a channel over the stated sd below which it is rounding
     #: physics: The range of noise with this sd is above three times the sd.
     rounding: float = 0.01
+    #: [1] largest number of channels, or of rates, named in a note
+    most_names: int = 8
 
 
 TUNING = Tuning()
-
-# Largest number of channels, or of rates, named in a note.
-_MOST_NAMES = 8
 
 # Relative difference below which two values are equal: half the digits.
 _EQUAL = float(np.sqrt(np.finfo(float).eps))
@@ -252,8 +251,8 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
     first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
     rates = [
         Note.RATE(rate_hz=1.0 / float(np.median(step_s[begin:end])), start_s=time_s[begin])
-        for begin, end in stretches[:_MOST_NAMES]
-    ] + ["…"] * (len(stretches) > _MOST_NAMES)
+        for begin, end in stretches[: TUNING.most_names]
+    ] + ["…"] * (len(stretches) > TUNING.most_names)
     # A step lies between two rows.
     note = Note.RATES(rates=", ".join(rates), start_s=time_s[first], end_s=time_s[last])
     return int(first), int(last) + 1, note
@@ -431,8 +430,8 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
 
 def listed(names: list[str]) -> str:
     """Names of channels for a sentence, the first of many."""
-    more = len(names) - _MOST_NAMES
-    text = ", ".join(names[:_MOST_NAMES])
+    more = len(names) - TUNING.most_names
+    text = ", ".join(names[: TUNING.most_names])
     return Note.MORE_NAMES(names=text, count=more) if more > 0 else text
 
 

@@ -26,6 +26,12 @@ class Tuning:
     #: [1] value of the Tracy-Widom law of order 1 above which a component is signal
     #: statistics: Noise exceeds it with 1e-4, by simulation 2 to 4 with 1e-2 to 1e-3.
     tracy_widom: float = 5.0
+    #: [1] largest number of components
+    most_components: int = 40
+    #: [1] largest number of passes with all directions
+    most_passes: int = 12
+    #: [sd] largest change of a value filled in at the end of the passes
+    settled: float = 0.1
     #: [sd] deviation from the mean of its neighbours above which a sample does not shape the first basis
     spike_sd: float = 8.0
     #: [1] channels to a component below which nothing is projected
@@ -36,19 +42,12 @@ class Tuning:
     #: [1] measured noise over the stated sd below which it is not that of positions
     #: measurement: Filmed forks in predictive codecs have 0.01 to 0.4, others 0.4 to 1.2.
     least_of_stated: float = 0.5
+    #: [1] information on a component at an instant over that of all channels below which it is unseen
+    #: physics: Above rounding.
+    least_seen: float = 1e-9
 
 
 TUNING = Tuning()
-
-# Largest number of components.
-_MOST_COMPONENTS = 40
-# Largest number of passes with all directions.
-_MOST_PASSES = 12
-# Largest change of a value filled in at the end of the passes, in sd.
-_SETTLED = 0.1
-
-# Information on a component at an instant over that of all channels, below which it is unseen: above rounding.
-_LEAST_SEEN = 1e-9
 
 # Largest number of directions in the first passes: what interpolation does at outliers and missing samples is weaker
 # than the motion, and the passes replace it.
@@ -89,8 +88,8 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
     weights, least_sd = data.weights, TUNING.least_of_stated * np.nan_to_num(prepared.stated_sd)
     centred = _centred(data, weights)
     basis, filled = np.zeros((k, 0)), _interpolated(data.time_s, centred, weights)
-    most = components or min(_MOST_COMPONENTS, k // TUNING.channels_each)
-    for limit in (*_FIRST_PASSES, *(most,) * _MOST_PASSES):
+    most = components or min(TUNING.most_components, k // TUNING.channels_each)
+    for limit in (*_FIRST_PASSES, *(most,) * TUNING.most_passes):
         # what is filled in has no noise
         sd = np.maximum(_noise_sd(filled) / np.sqrt(np.mean(weights > 0.0, axis=0)), least_sd)
         basis = _basis(filled / sd, min(limit, most), always=components is not None)
@@ -104,9 +103,9 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
         weights = reject_outliers(data, data.weights, residual).weights
         # Large samples beside motion that is not in the basis yet are not rejected, but could enter it on their own.
         before, filled = filled, motion + np.where(weights > 0.0, sd * limited(data.weights, residual), 0.0)
-        if limit == most and float(np.max(np.abs(filled - before) / sd)) < _SETTLED:
+        if limit == most and float(np.max(np.abs(filled - before) / sd)) < TUNING.settled:
             break
-    if components is None and most == basis.shape[1] < _MOST_COMPONENTS:
+    if components is None and most == basis.shape[1] < TUNING.most_components:
         return prepared
     cleaned = FitData(data.time_s, data.values, weights)
     return _reduced(prepared, cleaned, centred / sd, basis, sd, least_sd)
@@ -258,7 +257,9 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
     covariance = np.broadcast_to(np.eye(r), (n, r, r)).copy()
     for rows in np.array_split(np.flatnonzero(np.any(weights != 1.0, axis=1)), max(1, n // 256)):
         own = weights[rows]
-        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + _LEAST_SEEN * np.eye(r)
+        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + TUNING.least_seen * np.eye(
+            r
+        )
         covariance[rows] = np.linalg.inv(information)
         values[rows] = np.einsum("nqp,np->nq", covariance[rows], (own * whitened[rows]) @ basis)
     return values, covariance

@@ -143,7 +143,7 @@ def spikes(values: FloatArray) -> BoolArray:
     found, side = np.zeros(values.size, dtype=bool), TUNING.side
     # as many samples tell how well the motion is interpolated nearby as interpolate one
     near = 2 * side
-    for _ in range(_PASSES):
+    for _ in range(TUNING.passes):
         rows = np.flatnonzero(np.isfinite(values) & ~found)
         if rows.size <= max(2 * (near + side), 4 * side):
             break
@@ -203,7 +203,7 @@ def interpolation(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     if values.size <= 2 * side:
         return error, weights, noise_sd
     windows = sliding_window_view(values - np.median(values), 2 * side + 1)
-    some = windows[:: 1 + windows.shape[0] // _MOST_WINDOWS]
+    some = windows[:: 1 + windows.shape[0] // TUNING.most_windows]
     while some.shape[0] > TUNING.windows_each * 2 * side:
         gram = some.T @ some
         others = np.delete(np.delete(gram, side, 0), side, 1)
@@ -290,15 +290,15 @@ class Tuning:
     #: [sd] error of the interpolation from which a window is left out
     #: statistics: Noise alone reaches it in one window of 16 000.
     unexplained: float = 4.0
+    #: [samples] largest number of samples that determine the weights, evenly spread
+    #: statistics: They determine the noise to within 1 %.
+    most_windows: int = 50_000
+    #: [1] largest number of searches
+    #: convention: Spikes near others are found when these are gone; most_spikes of them in each neighbourhood.
+    passes: int = 8
 
 
 TUNING = Tuning()
-
-# Largest number of samples that determine the weights, evenly spread. They determine the noise to within 1 %.
-_MOST_WINDOWS = 50_000
-# Largest number of searches: spikes near others are found when these are gone, `most_spikes` of them in each
-# neighbourhood.
-_PASSES = 8
 OUTLIER_SD, BEYOND_SD = TUNING.limit, TUNING.beyond
 
 

@@ -48,6 +48,10 @@ class Tuning:
     #: [1] factor on the score required there
     #: measurement: As above.
     nearly_critical_factor: float = 5.0
+    #: [1] ratio of successive decay rates of the search
+    rate_step: float = 1.7
+    #: [half-widths] distance of successive frequencies of the search, in half-power half-widths
+    frequency_step: float = 0.6
     #: [decay times] length of the part that is searched for a wave
     #: physics: exp(-10) of its energy is left.
     decay_times: float = 5.0
@@ -56,11 +60,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Ratio of successive decay rates of the search.
-_RATE_STEP = 1.7
-# Distance of successive frequencies of the search, in half-power half-widths.
-_FREQUENCY_STEP = 0.6
 LEAST_SAMPLES = TUNING.least_samples
 
 
@@ -195,7 +194,7 @@ def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> 
         best = _best_wave(motion, rate, max(lowest_hz, 0.5 * rate / (2.0 * np.pi)), nyquist)
         if best is not None:
             found.append(best)
-        rate *= _RATE_STEP
+        rate *= TUNING.rate_step
     return found
 
 
@@ -207,7 +206,7 @@ def beginning(data: FitData, rate_per_s: float) -> FitData:
 def _best_wave(data: FitData, rate: float, lowest_hz: float, nyquist: float) -> Candidate | None:
     half_width = rate / (2.0 * np.pi)
     first = max(lowest_hz, half_width * float(np.sqrt(_ZETA_RANGE[1] ** -2 - 1.0)))
-    grid = np.arange(first, min(nyquist, half_width / _ZETA_RANGE[0]), _FREQUENCY_STEP * half_width)
+    grid = np.arange(first, min(nyquist, half_width / _ZETA_RANGE[0]), TUNING.frequency_step * half_width)
     if grid.size == 0:
         return None
     part, waves = beginning(data, rate), np.asarray(-rate + 2j * np.pi * grid, dtype=np.complex128)

@@ -54,9 +54,17 @@ class Tuning:
     #: [1] damping ratio from which a mode is strongly damped
     #: convention: That of a beam is weakly damped.
     strongly_damped: float = 0.02
+    #: [bins] change of a frequency beside a further mode up to which it is the same mode, where a bin is 1 / span
+    #: measurement: The fit of a drift of 2.6 cycles alone is off by 0.2 to 0.3 (seed 14535 of `benchmarks.records`).
+    moved_bins: float = 0.5
+    #: [1] largest number of splines of the slow motion
+    max_splines: int = 300
     #: [1] amplitude over the strongest mode's below which a line is no mode
     #: convention: Such lines are rounding errors or artefacts of an integrator.
     relative_floor: float = 1e-4
+    #: [1] largest number of rounds of outlier rejection
+    #: convention: Samples at the limit may alternate forever.
+    max_cleanings: int = 2
     #: [1] probability that noise alone gives a further mode
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
@@ -71,11 +79,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Largest number of splines of the slow motion.
-_MAX_SPLINES = 300
-# Largest number of rounds of outlier rejection. Samples at the limit may alternate forever.
-_MAX_CLEANINGS = 2
 FALSE_ALARM, HIGHEST_OVERTONE, PLACES = TUNING.false_alarm, TUNING.highest_overtone, TUNING.places
 
 
@@ -123,7 +126,7 @@ def wider_baseline(
     swing = _swings(fit, span)
     kept = fit.poles[~swing]
     lowest = float(np.min(frequency_hz(kept)))
-    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * _MAX_SPLINES / span)
+    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * TUNING.max_splines / span)
     if 1.2 * bandwidth_hz > cap or _leak(spectrum, span, frequency_hz(kept)) < TUNING.leak:
         return None
     return kept, cap
@@ -214,7 +217,7 @@ class _Search:
         # resembles outliers.
         cleaned = _clean(split, self.original_weights, self.lowest_hz)
         self.cleanings += 1
-        if cleaned is split or self.cleanings > _MAX_CLEANINGS:
+        if cleaned is split or self.cleanings > TUNING.max_cleanings:
             return split, True
         return cleaned, False
 
@@ -337,9 +340,9 @@ def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
 
 
 def _moved(before: ModalFit, after: ModalFit) -> bool:
-    """Whether a mode is another one beside one more: by 3 %, and by half of the resolution where it has few cycles."""
+    """Whether a mode becomes another one beside a further mode: it moves by 3 %, and by more than `moved_bins`."""
     hz = frequency_hz(before.fit.poles)
-    most_hz = np.maximum(OWN_BAND * hz, 0.5 / before.data.span_s)
+    most_hz = np.maximum(OWN_BAND * hz, TUNING.moved_bins / before.data.span_s)
     return bool(np.any(np.abs(frequency_hz(after.fit.poles)[: hz.size] - hz) > most_hz))
 
 

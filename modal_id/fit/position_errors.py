@@ -35,6 +35,9 @@ class Tuning:
     #: [1] factor by which noise reduces the errors that return, below which they are ignored
     #: convention: They are then below a tenth of the other half of the error, which is noise.
     least_returning: float = 0.1
+    #: [1] number of simulated records whose values are rounded
+    #: statistics: Their standard deviation is known to a fifth.
+    rounded_records: int = 16
     #: [sd] amplitude below which the shrinkage by a codec hardly changes
     small: float = 5.0
     #: [1] correlation length of the shrinkage in asinh(amplitude), and spacing of its knots
@@ -47,9 +50,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Number of simulated records whose values are rounded. Their standard deviation is known to a fifth.
-_ROUNDED_RECORDS = 16
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: 
         return model
     rng = np.random.default_rng(0)
     fitted, shifts = data.values - linear.residual, []
-    for _ in range(_ROUNDED_RECORDS):
+    for _ in range(TUNING.rounded_records):
         values = fitted + noise * rng.standard_normal(fitted.shape)
         about = steps * rng.random(steps.size)
         rounded = values.copy()
@@ -174,7 +174,7 @@ def with_rounding_errors(model: ModalFit, series: DisplacementSeries, channels: 
         rounded[:, coarse] = steps[coarse] * np.round(of_step) - about[coarse]
         shift = refit(model, model.fit.poles, replace(data, values=rounded)).fit.poles - model.fit.poles
         shifts.append(np.column_stack([shift.real, shift.imag]).ravel())
-    return model.with_repeating(np.array(shifts).T @ np.array(shifts) / _ROUNDED_RECORDS)
+    return model.with_repeating(np.array(shifts).T @ np.array(shifts) / TUNING.rounded_records)
 
 
 def _step(values: FloatArray) -> float:

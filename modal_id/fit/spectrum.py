@@ -25,6 +25,8 @@ class Tuning:
     #: [steps] largest distance of a sample from its place on an even grid
     #: physics: One step is half a cycle at most: the power there changes by (0.01 pi)^2 = 0.1 %.
     even: float = 0.01
+    #: [bins] width of the wide window for the noise level
+    wide_bins: int = 61
     #: [bins] width of the narrow window for the noise level
     narrow_bins: int = 15
     #: [1] ratio to a mode's frequency beyond which the misfit of a change of its motion is small
@@ -46,9 +48,10 @@ EVEN_STEPS, SAME_LINE, LEAST_WINDOW = TUNING.even, TUNING.same, TUNING.min_windo
 CAUTION = TUNING.caution
 
 
-# Half the bins of the wide window for the noise level, for which the bound of `least_level` is derived. These are the
-# degrees of freedom of the level in a channel: of the bins of the window, half are independent.
-LEVEL_BINS = 61
+_WIDE_BINS = TUNING.wide_bins
+
+# Degrees of freedom of the level in a channel: it is the median of twice as many bins, of which half are independent.
+LEVEL_BINS = _WIDE_BINS
 # Bins of a block of `least_level`.
 _BLOCK = 20
 
@@ -89,7 +92,7 @@ class ResidualSpectrum:
         """
         distance = np.abs(self.frequency_hz - centre_hz)
         near = distance < half_width_hz
-        outside = ~near & (distance < max(TUNING.outside * half_width_hz, LEVEL_BINS * self.frequency_hz[1]))
+        outside = ~near & (distance < max(TUNING.outside * half_width_hz, _WIDE_BINS * self.frequency_hz[1]))
         if not np.any(near) or not np.any(outside):
             return 0.0
         level = float(np.median(self.power[outside])) * mean_per_median(self.channels)
@@ -181,7 +184,7 @@ def mean_per_median(channels: int) -> float:
 def local_level(power: FloatArray, channels: int, bins: NDArray[np.intp]) -> FloatArray:
     """Noise level around these bins: the mean implied by the median, the larger of a wide and a narrow window."""
     level = np.zeros(bins.size)
-    for half in (LEVEL_BINS, TUNING.narrow_bins):
+    for half in (_WIDE_BINS, TUNING.narrow_bins):
         size = min(2 * half, power.size)
         rows = bins[:, None] + np.arange(-(size // 2), size - size // 2)
         # Reflected at both ends.
@@ -197,7 +200,7 @@ def least_level(power: FloatArray, channels: int) -> FloatArray:
     values, at most 5 x 7 + 22 = 57 are below the smallest of the five blocks' eighth values: less than half.
     """
     least = np.zeros(power.size)
-    if power.size >= 2 * LEVEL_BINS:
+    if power.size >= 2 * _WIDE_BINS:
         blocks = power[: power.size // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
         eighth = np.partition(blocks, 7, axis=1)[:, 7]
         smallest = np.min(np.lib.stride_tricks.sliding_window_view(eighth, 5), axis=1)

@@ -22,9 +22,23 @@ class Tuning:
 
     #: [samples] samples per cycle of the highest frequency to which the record is thinned
     samples_per_cycle: float = 5.0
+    #: [1] largest number of rows of the block Hankel matrix
+    #: convention: Limits the computing time.
+    max_rows: int = 240
+    #: [1] largest number of reference channels
+    #: convention: Limits the computing time.
+    max_references: int = 3
     #: [1] largest number of channels used
     #: physics: More would shorten the block rows below a cycle of the lowest mode.
     max_channels: int = 8
+    #: [1] largest number of components of several channels from whose values poles are taken
+    #: convention: Limits the computing time.
+    max_components: int = 2
+    #: [1] largest number of columns of their Hankel matrix, up to a factor of two
+    #: convention: Limits the computing time.
+    max_columns: int = 1200
+    #: [1] largest order of the state
+    max_order: int = 40
     #: [1] successive orders, two states apart, in which a stable pole must occur
     least_run: int = 5
     #: [1] largest relative difference of the damping ratios of a stable pole in successive orders
@@ -35,17 +49,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Largest number of rows of the block Hankel matrix. Limits the computing time.
-_MAX_ROWS = 240
-# Largest number of reference channels. Limits the computing time.
-_MAX_REFERENCES = 3
-# Largest number of components of several channels from whose values poles are taken. Limits the computing time.
-_MAX_COMPONENTS = 2
-# Largest number of columns of the Hankel matrix of these components, up to a factor of two. Limits the computing time.
-_MAX_COLUMNS = 1200
-# Largest order of the state.
-_MAX_ORDER = 40
 
 
 @dataclass(frozen=True)
@@ -107,14 +110,14 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
         chosen = _independent_channels(values)
         values, mask = values[:, chosen], mask[:, chosen]
     n, k = values.shape
-    rows = int(min(_MAX_ROWS // k, n // 4))
+    rows = int(min(TUNING.max_rows // k, n // 4))
     if rows * k < 8 or rows < 4:
         return None
-    strongest = np.argsort(-np.sum(values**2, axis=0))[:_MAX_REFERENCES]
+    strongest = np.argsort(-np.sum(values**2, axis=0))[: TUNING.max_references]
     lags = _products(values, mask, np.sort(strongest), 2 * rows)
     hankel = np.concatenate([np.concatenate(lags[i : i + rows], axis=1) for i in range(1, rows + 1)], axis=0)
     left, size, _ = svd(hankel, full_matrices=False, check_finite=False, lapack_driver="gesdd")
-    most = int(min(_MAX_ORDER, (rows - 1) * k, np.count_nonzero(size > 1e-12 * size[0])))
+    most = int(min(TUNING.max_order, (rows - 1) * k, np.count_nonzero(size > 1e-12 * size[0])))
     orders = tuple(range(2, most + 1, 2))
     observed = left[:, :most] * np.sqrt(size[:most])
     poles = tuple(_poles(observed[:, :order], k, step) for order in orders)
@@ -134,12 +137,12 @@ def close_poles(data: FitData, modes_hz: FloatArray, most: int) -> list[ComplexA
     ESPRIT: Roy & Kailath (1989), doi:10.1109/29.32276.
     """
     step, values, _ = _even(data, np.zeros_like(data.values), float(np.max(modes_hz)))
-    if values.shape[1] > _MAX_COMPONENTS:
-        values = values @ np.linalg.svd(values, full_matrices=False)[2][:_MAX_COMPONENTS].T
+    if values.shape[1] > TUNING.max_components:
+        values = values @ np.linalg.svd(values, full_matrices=False)[2][: TUNING.max_components].T
     n, k = values.shape
-    rows = int(max(min(_MAX_ROWS // k, n // 2), 1))
+    rows = int(max(min(TUNING.max_rows // k, n // 2), 1))
     lag = max(n // (2 * rows), 1)
-    begins = np.arange(0, n - (rows - 1) * lag, max(n // _MAX_COLUMNS, 1))
+    begins = np.arange(0, n - (rows - 1) * lag, max(n // TUNING.max_columns, 1))
     hankel = np.concatenate([values[begins + i * lag].T for i in range(rows)], axis=0)
     waves = min(most, (min(hankel.shape) - k) // 2)
     left = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1]

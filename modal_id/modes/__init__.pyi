@@ -20,6 +20,7 @@ from .converted_rate import Conversion as Conversion
 from .converted_rate import any_variance_cost as any_variance_cost
 from .converted_rate import conversion as conversion
 from .converted_rate import least_gain as least_gain
+from .decays import DECAYS_SD as DECAYS_SD
 from .decays import SAME_MOTION as SAME_MOTION
 from .decays import FittedDecay as FittedDecay
 from .decays import by_information as by_information

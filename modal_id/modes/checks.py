@@ -27,6 +27,15 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Tests of the residual, the delay of rows."""
 
+    #: [1] number of replicates
+    #: statistics: p-values in steps of 1 / 400.
+    replicates: int = 399
+    #: [1] fewest replicates, for long records
+    #: statistics: p-values in steps of 1 / 100.
+    min_replicates: int = 99
+    #: [1] largest number of values in all replicates together
+    #: convention: Limits the memory.
+    max_values: int = 6_000_000
     #: [1] upper end of the band in which drift is looked for, over that of the baseline
     #: convention: Drift is visible just above.
     low_band: float = 3.0
@@ -45,16 +54,11 @@ class Tuning:
     #: [1] number of groups of neighbouring channels, each left out once
     #: convention: Their errors may be correlated.
     groups: int = 8
+    #: [1] number of passes
+    passes: int = 4
 
 
 TUNING = Tuning()
-
-# Number of replicates: p-values in steps of 1 / 400.
-_REPLICATES = 399
-# Fewest replicates, for long records: p-values in steps of 1 / 100.
-_MIN_REPLICATES = 99
-# Largest number of values in all replicates together. Limits the memory.
-_MAX_VALUES = 6_000_000
 
 
 # Values in each array at a time: a long record fills memory otherwise.
@@ -80,7 +84,7 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     residual = (found.series.values - found.fitted)[rows, channel]
     if not np.any(residual):
         return ()
-    count = int(np.clip(_MAX_VALUES // rows.size, _MIN_REPLICATES, _REPLICATES))
+    count = int(np.clip(TUNING.max_values // rows.size, TUNING.min_replicates, TUNING.replicates))
     poles = np.array([complex(pole(m.omega_n_rad_s, m.damping_ratio)) for m in modes])
     index = modes.index(strongest)
     lowest = bandwidth_hz(min(m.frequency_hz for m in modes))
@@ -316,7 +320,7 @@ def _phase_slope(
     shape, weight, along = shape[kept], 1.0 / sd[kept], rows[kept] - np.mean(rows)
     shape = in_phase(shape)
     phase = np.zeros(2)
-    for _ in range(4):
+    for _ in range(TUNING.passes):
         turned = shape * np.exp(-1j * (phase[0] + phase[1] * along))
         design = (turned.real * weight)[:, None] * np.stack([np.ones_like(along), along], axis=1)
         covariance = np.linalg.pinv(design.T @ design, hermitian=True)

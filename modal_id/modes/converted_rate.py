@@ -26,34 +26,35 @@ class Tuning:
     #: [1] line of the residual that is followed up
     #: statistics: White noise has one in 2 % of records.
     line: float = 4.0
+    #: [1] largest number of lines that are followed up
+    #: convention: Limits the computing time.
+    lines: int = 3
+    #: [1] largest number of patterns that are fitted
+    #: convention: Limits the computing time.
+    most_patterns: int = 6
     #: [periods] fewest periods of a pattern in the record
     #: convention: Fewer jumps may be changes of the motion.
     least_periods: float = 4.0
     #: [periods] periods below which blended frames must gain twice what noise reaches
     #: convention: Noise has slow changes.
     slow_periods: float = 8.0
+    #: [1] number of phases tried first
+    #: physics: The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the frames.
+    phases: int = 8
     #: [1] share of independent samples below which blended frames are not judged
     #: convention: What a fit leaves of the motion has a periodic power, too.
     mostly_noise: float = 0.5
     #: [1] number of phases that each have their own noise variance
     #: measurement: With one for all, 10 of 36 unconverted films in H.264 were taken for blended ones.
     variances: int = 8
+    #: [1] number of lags over which the correlation of the noise is summed
+    lags: int = 30
     #: [1] share of rows without a sample from which these rows are tried as inserted frames
     #: convention: The tracker notes as many repeated ones.
     skipped: float = 0.02
 
 
 TUNING = Tuning()
-
-# Largest number of lines that are followed up. Limits the computing time.
-_LINES = 3
-# Largest number of patterns that are fitted. Limits the computing time.
-_MOST_PATTERNS = 6
-# Number of phases tried first. The nearest is off by a sixteenth of a recorded frame, a fifth of what moves the
-# frames.
-_PHASES = 8
-# Number of lags over which the correlation of the noise is summed.
-_LAGS = 30
 RARE = TUNING.false_alarm
 
 # Whole recorded frames per frame of the file, beside the fraction.
@@ -154,7 +155,7 @@ def conversion(model: ModalFit, *, steady_noise: bool, predicted: bool) -> Conve
 
 def least_gain(record: DecayRecord) -> float:
     """Twice the gain of the log-likelihood that noise reaches in a share `RARE` of records."""
-    tries = record.length * _PHASES * len(_WHOLE) * 8.0
+    tries = record.length * TUNING.phases * len(_WHOLE) * 8.0
     return 2.0 * float(np.log(tries / RARE))
 
 
@@ -218,7 +219,7 @@ def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Itera
             lower = [pattern / order for order in _ORDERS if pattern / order > least]
             others = (_of_pattern(record, kind, one) for one in lower)
             yield (first, *(one for one in others if one is not None))
-        if len(seen) == _MOST_PATTERNS:
+        if len(seen) == TUNING.most_patterns:
             return
 
 
@@ -235,7 +236,7 @@ def _lines(record: DecayRecord, product: FloatArray) -> list[float]:
     peaks = 1 + np.flatnonzero(
         (inner > power[:-1]) & (inner >= above) & (inner > np.log(record.length) + TUNING.line)
     )
-    return [float(k) / size for k in peaks[np.argsort(-power[peaks])][:_LINES]]
+    return [float(k) / size for k in peaks[np.argsort(-power[peaks])][: TUNING.lines]]
 
 
 def _patterns_of_modes(record: DecayRecord) -> list[float]:
@@ -258,7 +259,11 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None
     """
     first = _cheapest(
         record,
-        (Clock(kind, 1.0 + sign * pattern, k / _PHASES) for sign in (1.0, -1.0) for k in range(_PHASES)),
+        (
+            Clock(kind, 1.0 + sign * pattern, k / TUNING.phases)
+            for sign in (1.0, -1.0)
+            for k in range(TUNING.phases)
+        ),
     )
     sign = np.sign(first.ratio - 1.0)
     starts = [replace(first, ratio=whole + sign * pattern) for whole in _WHOLE]
@@ -349,7 +354,7 @@ def _independent(residual: FloatArray, mixing: FloatArray = _UNMIXED) -> float:
     n = residual.shape[0]
     size = next_fast_len(2 * n)
     power = np.mean(np.abs(rfft(residual, size, axis=0)) ** 2, axis=1)
-    correlation = irfft(power, size)[: min(_LAGS, n // 4) + 1]
+    correlation = irfft(power, size)[: min(TUNING.lags, n // 4) + 1]
     correlation = correlation / max(float(correlation[0]), 1e-300)
     correlation[1 : mixing.size + 1] -= mixing
     # What noise adds to the sum of squares.

@@ -29,6 +29,15 @@ Kind = Literal["moved", "blended", "inserted"]
 class Tuning:
     """The clock of converted frames."""
 
+    #: [1] largest number of channels, those with most of the motion
+    #: convention: Limits the computing time.
+    most_channels: int = 24
+    #: [1] largest number of components of the motion
+    #: convention: Limits the computing time.
+    most_components: int = 6
+    #: [1] largest number of columns for the slow motion
+    #: convention: It also follows a side band at a low frequency.
+    most_slow: int = 64
     #: [1] number of stretches of the record that each have their own noise level
     #: measurement: With one, 4 of 200 random records with outliers and clicks were taken for converted ones.
     stretches: int = 8
@@ -50,13 +59,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Largest number of channels, those with most of the motion. Limits the computing time.
-_MOST_CHANNELS = 24
-# Largest number of components of the motion. Limits the computing time.
-_MOST_COMPONENTS = 6
-# Largest number of columns for the slow motion. It also follows a side band at a low frequency.
-_MOST_SLOW = 64
 
 # Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
 # no conversion, and the poles of a fit to evenly spaced frames are biased where the frames are not.
@@ -300,7 +302,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     energy = np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance
     rate = np.maximum(-fit.poles.real, 1.0 / data.span_s)
     strongest = int(np.argmax(np.sum(energy, axis=1) * np.abs(fit.poles) ** 2 / rate))
-    most = np.argsort(-energy[strongest])[:_MOST_CHANNELS]
+    most = np.argsort(-energy[strongest])[: TUNING.most_channels]
     used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[:MOST_SAMPLES]
     columns = 2 * (len(_OTHER_ENVELOPES) * fit.poles.size + len(_ENVELOPE))
     if used.size < TUNING.rows_per_column * columns:
@@ -309,7 +311,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     cells = np.ix_(used, most)
     values = (data.values - fit.linear.baseline)[cells] / sd
     time_s = data.time_s[used]
-    slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * _MOST_SLOW / (time_s[-1] - time_s[0])))
+    slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * TUNING.most_slow / (time_s[-1] - time_s[0])))
     slow = np.linalg.qr(slow)[0]
     values += slow @ (slow.T @ (fit.linear.baseline[cells] / sd))
     shapes = fit.linear.amplitudes[:, most] / sd
@@ -330,7 +332,7 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
 
 def _components(values: FloatArray, residual: FloatArray) -> FloatArray:
     """Combinations of the channels with most of the motion and with uncorrelated noise of unit variance."""
-    axes = np.linalg.svd(values, full_matrices=False)[2][:_MOST_COMPONENTS].T
+    axes = np.linalg.svd(values, full_matrices=False)[2][: TUNING.most_components].T
     noise = residual @ axes
     variance, turn = np.linalg.eigh(noise.T @ noise / noise.shape[0])
     # A combination without noise of its own would count as certain.

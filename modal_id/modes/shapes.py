@@ -40,6 +40,8 @@ class Tuning:
     #: [1] sd of the position of either end, over the mean distance of stations
     #: physics: A px where a station has five.
     end_sd: float = 0.2
+    #: [1] number of passes
+    passes: int = 3
 
 
 TUNING = Tuning()
@@ -363,7 +365,7 @@ def _averaged(
 def _fitted(design: FloatArray, aim: FloatArray, prior: FloatArray) -> _Fit:
     """Least squares of values with an sd of 1, with the inverse prior variances of the amplitudes."""
     factor = 1.0
-    for _ in range(3):
+    for _ in range(TUNING.passes):
         normal = design.T @ design / factor**2 + np.diag(prior)
         decomposed = cho_factor(normal)
         mean = cho_solve(decomposed, design.T @ aim / factor**2)

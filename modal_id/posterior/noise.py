@@ -29,8 +29,17 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """The level of the noise beside a mode."""
+    """The level of the noise beside a mode, and the accuracy of its spectrum."""
 
+    #: [1] blocks per period of the largest distance from the centre
+    #: physics: The phase changes by up to 0.2 rad within half a block.
+    blocks_per_period: float = 16.0
+    #: [1] number of moments of each block
+    #: physics: 0.2^6 / 6! = 1e-7.
+    moments: int = 6
+    #: [1] relative difference up to which frequency steps count as equal
+    #: physics: Above rounding.
+    even: float = 1e-10
     #: [1] half-width of the band, over the mode's frequency
     relative_half_width: float = 0.06
     #: [bins] fewest bins on either side
@@ -41,8 +50,13 @@ class Tuning:
     #: [bins] distance from a mode below which bins are left out; its half-power half-width is added for the other
     #: modes
     own_bins: float = 1.25
+    #: [bins] largest number of bins in the band
+    max_bins: int = 150
     #: [1] share of white noise that the fit leaves in a bin, below which it is not used
     least_left: float = 0.5
+    #: [1] largest number of channels whose levels are averaged
+    #: statistics: Their standard deviation is then a few per cent.
+    most_channels: int = 32
     #: [1] prior sd of the exponent of a local power law
     #: convention: White, pink and brown noise lie at 0, -1 and -2.
     exponent_sd: float = 1.0
@@ -50,17 +64,7 @@ class Tuning:
 
 TUNING = Tuning()
 
-# Largest number of bins in the band.
-_MAX_BINS = 150
-# Largest number of channels whose levels are averaged. Their standard deviation is then a few per cent.
-_MOST_CHANNELS = 32
 
-
-# Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block. The
-# first moment of a block that is left out is then 0.2^6 / 6! = 1e-7.
-_BLOCKS_PER_PERIOD, _MOMENTS = 16.0, 6
-# Relative difference up to which frequency steps count as equal, above rounding.
-_EVEN = 1e-10
 _SPLINES = 16
 # Values of the rotations of the blocks that are held at a time.
 _ROTATIONS = 4_000_000
@@ -80,7 +84,7 @@ class BandTransform:
     def __init__(self, time_s: FloatArray, frequencies_hz: FloatArray) -> None:
         middle = 0.5 * (float(frequencies_hz[0]) + float(frequencies_hz[-1]))
         half = max(float(np.max(np.abs(frequencies_hz - middle))), 1e-9)
-        block = 1.0 / (_BLOCKS_PER_PERIOD * half)
+        block = 1.0 / (TUNING.blocks_per_period * half)
         number = ((time_s - time_s[0]) / block).astype(np.intp)
         starts = np.flatnonzero(np.diff(number, prepend=-1))
         ends = np.append(starts[1:], time_s.size)
@@ -135,15 +139,15 @@ class BandTransform:
         self, values: FloatArray, weights: FloatArray, share: ComplexArray | FloatArray
     ) -> ComplexArray:
         """Transform of one sum, with factors `share`, of the weighted columns of an array, without leakage."""
-        moments = np.empty((_MOMENTS, self._mean_s.size), dtype=complex)
+        moments = np.empty((TUNING.moments, self._mean_s.size), dtype=complex)
         for blocks in self._parts():
             rows, edges = self._samples(blocks)
             moving = self._wave(rows) * ((weights[rows] * values[rows]) @ share)
             from_mean = self._time_s[rows] - np.repeat(self._mean_s[blocks], np.diff(edges))
-            for power in range(_MOMENTS):
+            for power in range(TUNING.moments):
                 moments[power, blocks] = np.add.reduceat(moving, edges[:-1])
                 moving *= from_mean / (power + 1.0)
-        factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(_MOMENTS)
+        factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(TUNING.moments)
         turns = self._turns(self._mean_s)
         return np.array([f @ (moments @ turn) for f, turn in zip(factors, turns, strict=True)])
 
@@ -152,7 +156,7 @@ class BandTransform:
         turn: ComplexArray = np.ones(time_s.size, dtype=complex)
         step, gap, last = turn, 0.0, 0.0
         for offset in self._offset_rad_s:
-            if abs(offset - last - gap) > _EVEN * abs(gap):
+            if abs(offset - last - gap) > TUNING.even * abs(gap):
                 gap = float(offset) - last
                 step = np.exp(-1j * gap * time_s)
             turn, last = turn * step, float(offset)
@@ -226,7 +230,7 @@ def channel_noise_level(model: ModalFit, mode: int, channels: FitData, residual:
     residual : array, shape (n, k)
         What the fit leaves in the channels.
     """
-    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, _MOST_CHANNELS).astype(int))
+    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, TUNING.most_channels).astype(int))
     problem = Problem(channels.channels(chosen), model.problem.baseline)
     linear = solve_linear(problem, ModeColumns(channels.time_s, model.fit.poles))
     columns, weights = np.zeros((residual.shape[0], 0)), np.zeros((chosen.size, 0, 0))
@@ -284,7 +288,7 @@ def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
     centre = float(frequency_hz(pole))
     width = TUNING.half_power_widths * abs(pole.real) / (2.0 * np.pi)
     half = max(TUNING.min_bins_aside / span, TUNING.relative_half_width * centre, width)
-    stride = max(1, int(np.ceil(2.0 * half * span / _MAX_BINS)))
+    stride = max(1, int(np.ceil(2.0 * half * span / TUNING.max_bins)))
     aside = int(half * span / stride)
     below = min(aside, int(0.6 * centre * span / stride))
     return centre, np.asarray(centre + (0.5 + stride * np.arange(-below, aside + 1.0)) / span)

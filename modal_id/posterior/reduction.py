@@ -23,6 +23,18 @@ from modal_id.solve import (
 from tracker import ComplexArray, FloatArray
 
 
+@dataclass(frozen=True)
+class Tuning:
+    """Waves that have decayed."""
+
+    #: [decay times] blocks that begin later are not added to the moments of a wave
+    #: physics: It has fallen by exp(-30).
+    decay_times: float = 30.0
+
+
+TUNING = Tuning()
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def chi_square_of(
     change: ComplexArray,
@@ -115,8 +127,6 @@ def _less_shared(total: FloatArray) -> float:
 
 # Rows whose powers are held at one time.
 _BLOCK = 4096
-# Blocks that begin after so many decay times are not added to the moments of a wave, which has fallen by exp(-30).
-_DECAY_TIMES = 30.0
 
 
 @dataclass
@@ -177,7 +187,7 @@ class Columns:
         shape = (terms, self.problem.sparse.shape[1] + self.count + values.shape[1])
         sums = WaveSums(np.zeros(shape, dtype=complex), np.zeros(terms, complex), np.zeros(terms))
         for rows in self._blocks():
-            if self.problem.data.time_s[rows.start] * -centre.real > _DECAY_TIMES:
+            if self.problem.data.time_s[rows.start] * -centre.real > TUNING.decay_times:
                 break
             self.add_waves(sums, values, rows, weights[rows], centre)
         return sums

@@ -27,8 +27,22 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Size of the likelihood, cells of the proposal density."""
+    """Accuracy of the likelihood, cells of the proposal density, autocorrelation."""
 
+    #: [1] relative size of the first neglected term of the series
+    #: physics: Far below a change of the log likelihood that matters.
+    remainder: float = 1e-9
+    #: [1] largest number of terms of the series
+    max_terms: int = 60
+    #: [1] logarithm of the largest energy of a wave, or density, over one that is negligible
+    #: physics: exp(-13.8) = 1e-6.
+    negligible: float = 13.8
+    #: [1] side of a tile over its least decay rate
+    #: physics: Its diagonal times the time in which the slowest wave becomes negligible is then 2.5.
+    side: float = 0.25
+    #: [1] number of terms within a tile
+    #: physics: They leave the same remainder.
+    tile_terms: int = 20
     #: [1] largest number of samples in all tiles together
     #: convention: Limits the memory.
     max_tile_samples: int = 4_000_000
@@ -40,22 +54,18 @@ class Tuning:
     growth: float = 1.1
     #: [1] number of sectors in a ring
     sectors: int = 32
+    #: [1] number of rings added at a time
+    rings: int = 8
+    #: [1] number of steps whose proposals are drawn together
+    #: convention: Limits the computing time.
+    steps: int = 20
+    #: [autocorrelation times] steps over which an autocorrelation is summed
+    #: convention: As emcee does (Sokal).
+    window: float = 5.0
 
 
 TUNING = Tuning()
-
-# Logarithm of the largest energy of a wave, or density, over one that is negligible: exp(-13.8) = 1e-6.
-NEGLIGIBLE = 13.8
-# Relative size of the first neglected term of the series, far below a change of the log likelihood that matters; most
-# terms.
-_REMAINDER, _MAX_TERMS = 1e-9, 60
-# Side of a tile over its least decay rate: its diagonal times the time in which the slowest wave becomes negligible is
-# then 2.5, for which so many terms leave the same remainder.
-_SIDE, _TILE_TERMS = 0.25, 20
-# Rings of the proposal density added at a time; steps whose proposals are drawn together.
-_RINGS, _STEPS = 8, 20
-# Autocorrelation times over which an autocorrelation is summed, as emcee does (Sokal).
-_WINDOW = 5.0
+NEGLIGIBLE = TUNING.negligible
 
 
 class Likelihood(Protocol):
@@ -94,7 +104,7 @@ class TiledLikelihood:
             middle = width * (corner + 0.5 + 0.5j)
             tile = (width, corner)
             if tile not in self.tiles:
-                self.tiles[tile] = self.reduction.about(middle, _TILE_TERMS)
+                self.tiles[tile] = self.reduction.about(middle, TUNING.tile_terms)
             result[here] = self.tiles[tile].chi_square(poles[here] - middle)
         return result
 
@@ -131,15 +141,15 @@ def reduce_mode(
 def _side(real_per_s: FloatArray, least_per_s: float) -> FloatArray:
     """Side of the tile that holds a pole with this real part."""
     octave = np.floor(np.log2(np.maximum(-real_per_s / least_per_s, 1.0)))
-    return np.asarray(_SIDE * least_per_s * 2.0**octave)
+    return np.asarray(TUNING.side * least_per_s * 2.0**octave)
 
 
 def _terms_needed(time_s: FloatArray, growth_per_s: float, reach_per_s: float) -> int | None:
     # The radius is set by the time at which the wave has lost its energy; doubled for exp(2 lambda t).
     radius, size = 2.0 * reach_per_s * _last_s(time_s, growth_per_s), 1.0
-    for power in range(1, _MAX_TERMS):
+    for power in range(1, TUNING.max_terms):
         size *= radius / power
-        if size < _REMAINDER and power >= 6:
+        if size < TUNING.remainder and power >= 6:
             return power + 1
     return None
 
@@ -258,7 +268,7 @@ def polar_proposal(
     angle = 2.0 * np.pi / TUNING.sectors * np.arange(TUNING.sectors)
     values = np.empty((0, TUNING.sectors))
     while values.shape[0] < edges.size:
-        more = edges[values.shape[0] : values.shape[0] + _RINGS]
+        more = edges[values.shape[0] : values.shape[0] + TUNING.rings]
         corners = _positions(np.repeat(more, TUNING.sectors), np.tile(angle, more.size), factor)
         values = np.concatenate([values, log_density(corners).reshape(more.size, TUNING.sectors)])
         if np.max(values[-more.size :]) < np.max(values) - NEGLIGIBLE:
@@ -304,14 +314,16 @@ class IndependenceMove(Move):  # type: ignore[misc]  # emcee has no types
 
         They do not depend on the walkers: many steps in one call take less time.
         """
-        numbers = np.concatenate([stream.random((_STEPS, walkers, 4)) for stream in self._streams], axis=1)
+        numbers = np.concatenate(
+            [stream.random((TUNING.steps, walkers, 4)) for stream in self._streams], axis=1
+        )
         proposed = self._proposal.draw(numbers[..., :3].reshape(-1, 3))
         value, log_q = model.log_prob_fn(proposed), self._proposal(proposed)
         count = numbers.shape[1]
         parts = (
-            proposed.reshape(_STEPS, count, 2),
-            value.reshape(_STEPS, count),
-            log_q.reshape(_STEPS, count),
+            proposed.reshape(TUNING.steps, count, 2),
+            value.reshape(TUNING.steps, count),
+            log_q.reshape(TUNING.steps, count),
         )
         return list(zip(*parts, np.log1p(-numbers[..., 3]), strict=True))
 
@@ -445,7 +457,7 @@ def autocorrelation_times(chains: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         mean = np.mean(products / products[:, :1], axis=2)
         times = 2.0 * np.cumsum(mean, axis=1) - 1.0
-        outside = np.arange(steps)[:, None] >= _WINDOW * times
+        outside = np.arange(steps)[:, None] >= TUNING.window * times
     window = np.where(np.any(outside, axis=1), np.argmax(outside, axis=1), steps - 1)
     return np.maximum(np.take_along_axis(times, window[:, None], axis=1)[:, 0], 1.0)
 

@@ -19,7 +19,7 @@ from tracker import BoolArray, ComplexArray, DisplacementSeries, FloatArray, Kno
 
 @dataclass(frozen=True)
 class Tuning:
-    """Inputs that are refused, slow columns."""
+    """Inputs that are refused, integration of one time step, interpolation of the input, slow columns."""
 
     #: [samples] shortest run at an extreme value that is clipped
     least_run: int = 3
@@ -36,13 +36,27 @@ class Tuning:
     #: [1] least number of changes of an input that is held between them
     #: statistics: Of values that are free to change, as many would not all be apart by two samples and more.
     least_changes: int = 20
+    #: [1] largest |lambda| h at which the integrals of a step are summed as a series
+    #: physics: The recursion that is used above it loses three digits here, and more below.
+    series: float = 0.3
+    #: [1] relative change of the time step above which its integrals are computed again
+    #: physics: Time stamps are rounded to about nine digits.
+    same_step: float = 1e-9
+    #: [1] step of the derivative with respect to lambda, over |Re lambda| + 1 / span
+    #: physics: Error of the central difference 1e-10, of rounding 1e-11.
+    difference: float = 1e-5
+    #: [1] degree of the spline between the samples
+    #: physics: At 0.6 of the Nyquist frequency, the highest of the fit, it changes a sinusoid by 0.5 % at most.
+    degree: int = 7
+    #: [samples] by which it is continued beyond both ends of the input
+    #: physics: What its ends change falls by 0.535 a sample, its largest root: to 3e-7 over as many.
+    beyond: int = 24
     #: [1] degree of the polynomial of the drift
     #: physics: The transform leaks the steps of the drift's value and first derivatives between both ends.
     drift_degree: int = 3
 
 
 TUNING = Tuning()
-
 MOST_MISSING = TUNING.most_missing
 
 
@@ -105,19 +119,7 @@ def _is_clipped(values: FloatArray) -> bool:
     return False
 
 
-# Largest |lambda| h at which the integrals of a step are summed as a series: the recursion that is used above it loses
-# three digits here, and more below.
-_SERIES = 0.3
-# Relative change of the time step above which its integrals are computed again: time stamps are rounded to about nine
-# digits.
-_SAME_STEP = 1e-9
-# Step of the derivative with respect to lambda, over |Re lambda| + 1 / span: the central difference errs by 1e-10,
-# rounding by 1e-11.
-_DIFFERENCE = 1e-5
-# Degree of the spline between the samples: at 0.6 of the Nyquist frequency, the highest of the fit, it changes a
-# sinusoid by 0.5 % at most. Samples by which it is continued beyond both ends of the input: what its ends change falls
-# by 0.535 a sample, its largest root, to 3e-7 over as many.
-_DEGREE, _BEYOND = 7, 24
+_SERIES, _SAME_STEP = TUNING.series, TUNING.same_step
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ class Drive:
 
     def slope(self, pole: complex) -> ComplexArray:
         """Derivative of the response with respect to lambda, of which it is an analytic function; shape (n,)."""
-        step = _DIFFERENCE * (abs(pole.real) + 1.0 / float(np.sum(self.steps_s)))
+        step = TUNING.difference * (abs(pole.real) + 1.0 / float(np.sum(self.steps_s)))
         return (self.response(pole + step) - self.response(pole - step)) / (2.0 * step)
 
 
@@ -228,10 +230,10 @@ class Channel:
         # Continued by its image in both end points: a spline that ends at a sample oscillates there, and what it adds
         # to all frequencies moves the lag (broad record 26 of benchmarks/known_input.py: 2 mm, 5 sd of the lag).
         longer_s, filled = (
-            np.pad(one, _BEYOND, mode="reflect", reflect_type="odd")
+            np.pad(one, TUNING.beyond, mode="reflect", reflect_type="odd")
             for one in (time_s, drive(time_s, values).at_samples())
         )
-        spline = make_interp_spline(longer_s, filled, _DEGREE)
+        spline = make_interp_spline(longer_s, filled, TUNING.degree)
         return cls(spline, float(time_s[0]), float(time_s[-1]))
 
     def at(self, time_s: FloatArray, lag_s: float) -> FloatArray:

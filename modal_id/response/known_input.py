@@ -21,6 +21,8 @@ from tracker import BoolArray, ComplexArray, FloatArray
 class Tuning:
     """Peaks, poles that are tried about them, search for modes, iteration of their poles."""
 
+    #: [1] peaks of the residual spectrum about which a pole is sought
+    peaks: int = 8
     #: [1] smallest damping ratio that is tried
     #: convention: That of a tuning fork.
     least_damping: float = 0.001
@@ -28,9 +30,14 @@ class Tuning:
     #: measurement: What a wrong lag leaves of a motion of the base over the whole band is taken for modes of 0.02 to
     #: 0.5, which then follow any lag (seeds 0 and 1 of the broad records of benchmarks/known_input.py).
     most_damping: float = 0.05
+    #: [1] number of damping ratios that are tried
+    #: physics: The iteration covers the factor of three between neighbours.
+    ratios: int = 5
     #: [1] damping ratio up to which a mode is slightly damped
     #: physics: The window of a stronger one holds other modes of a beam.
     slight: float = 0.01
+    #: [1] frequencies that are tried about a peak for each damping ratio
+    frequencies: int = 7
     #: [1] their reach on both sides, in half-widths of the mode, a bin at least
     #: physics: Noise moves the highest bin within the width of a resonance.
     reach: float = 1.5
@@ -44,6 +51,9 @@ class Tuning:
     #: [1] power of the input over that of its noise below which it drives no mode that can be told
     #: statistics: The mean of nine bins of noise exceeds three times its expectation once in 30 000.
     least_power: float = 3.0
+    #: [1] gain of log likelihood by a step that ends a search
+    #: statistics: About one sd; the rounds with the noise spectra follow.
+    negligible: float = 0.5
     #: [1] gain of a test or a local fit, over what the criterion asks for, below which a mode is not tried
     #: measurement: A local fit takes part of a wide response for background; the gain after a fit is up to five times
     #: that which the score test predicts.
@@ -56,23 +66,14 @@ class Tuning:
     #: [1] largest response to the noise of the input, over the noise of the outputs (variances), that is neglected
     #: statistics: The bias of a pole is then a thirtieth of its standard deviation at most.
     negligible_noise: float = 1e-3
+    #: [1] the same as `rounds`, while modes are still being added
+    search_rounds: int = 2
+    #: [1] rounds of noise spectrum, noise in the input and steps of the poles
+    #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
+    rounds: int = 4
 
 
 TUNING = Tuning()
-
-# Peaks of the residual spectrum about which a pole is sought.
-_PEAKS = 8
-# Number of damping ratios that are tried. The iteration covers the factor of three between neighbours.
-_RATIOS = 5
-# Frequencies that are tried about a peak for each damping ratio.
-_FREQUENCIES = 7
-# Gain of log likelihood by a step that ends a search. About one sd; the rounds with the noise spectra follow.
-_NEGLIGIBLE = 0.5
-# The same as `_ROUNDS`, while modes are still being added.
-_SEARCH_ROUNDS = 2
-# Rounds of noise spectrum, noise in the input and steps of the poles. benchmarks/known_input.py; the fourth round
-# changes zeta by less than a tenth of its sd.
-_ROUNDS = 4
 
 
 def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[complex]:
@@ -95,8 +96,8 @@ def candidates(found: ResponseFit, lowest_hz: float, least_gain: float) -> list[
     taken |= ~is_driven(found)
     weighted = residual * np.sqrt(found.weights)
     tried: list[tuple[float, complex]] = []
-    ratios = np.geomspace(TUNING.least_damping, TUNING.most_damping, _RATIOS)
-    for _ in range(_PEAKS):
+    ratios = np.geomspace(TUNING.least_damping, TUNING.most_damping, TUNING.ratios)
+    for _ in range(TUNING.peaks):
         if taken.all():
             break
         at = int(np.argmax(np.where(taken, -1.0, power)))
@@ -143,7 +144,7 @@ def _tried(found: ResponseFit, weighted: ComplexArray, at: int, ratio: float) ->
     rest = weighted[window] - basis @ (np.conj(basis.T) @ weighted[window])
     left = np.maximum(np.sum(np.abs(rest) ** 2, axis=0), 1e-300)
     best = (0.0, 0.0j)
-    for offset in np.linspace(-TUNING.reach, TUNING.reach, _FREQUENCIES) * max(half_hz, step_hz):
+    for offset in np.linspace(-TUNING.reach, TUNING.reach, TUNING.frequencies) * max(half_hz, step_hz):
         omega = 2.0 * np.pi * (float(frequency_hz[at]) + offset)
         pole = complex(-ratio * omega, omega * np.sqrt(1.0 - ratio**2))
         columns = np.stack([np.ones(size), driving], axis=1) * (root / (s - pole))[:, None]
@@ -179,7 +180,7 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     penalty = criterion(samples)
     level = np.maximum(np.mean(samples.outputs**2, axis=0), 1e-300)
     noise = Noise(np.tile(level, (samples.frequency_hz.size, 1)), 0.0)
-    found = _refined(samples, np.empty(0, dtype=complex), known, noise, _SEARCH_ROUNDS)
+    found = _refined(samples, np.empty(0, dtype=complex), known, noise, TUNING.search_rounds)
     better: ResponseFit | None = found
     while better is not None:
         found = better
@@ -195,18 +196,18 @@ def fit_response(samples: Samples, max_modes: int, lowest_hz: float, input_sd: f
     if not found.poles.size:
         return None
     order = np.argsort(np.abs(found.poles))
-    return _without_weak(found, found.poles[order], known, penalty, _ROUNDS)
+    return _without_weak(found, found.poles[order], known, penalty, TUNING.rounds)
 
 
 def with_free_lag(found: ResponseFit, input_sd: float) -> ResponseFit | None:
     """A fit iterated with the lag of the input (`Samples.channel`) as one more parameter; None as in `fit_response`."""
     known = InputNoise.of(found.samples, input_sd)
-    return _without_weak(found, found.poles, known, criterion(found.samples), _ROUNDS)
+    return _without_weak(found, found.poles, known, criterion(found.samples), TUNING.rounds)
 
 
 def most_iterated_s(samples: Samples) -> float:
     """The farthest that the iteration moves a lag: half a sample in each round."""
-    return 0.5 * _ROUNDS * samples.step_s
+    return 0.5 * TUNING.rounds * samples.step_s
 
 
 def criterion(samples: Samples) -> float:
@@ -221,7 +222,7 @@ def _with_mode(
     trial = Weighted(found.likely, np.append(found.poles, pole), found.weights).converged()
     if before.score - trial.score < penalty or _has_left(pole, trial.poles[-1]):
         return None
-    better = _without_weak(found, trial.poles, known, penalty, _SEARCH_ROUNDS)
+    better = _without_weak(found, trial.poles, known, penalty, TUNING.search_rounds)
     if better is None or better.poles.size != found.poles.size:
         return None if better is None or better.poles.size < found.poles.size else better
     # As many modes as before, elsewhere.
@@ -305,7 +306,7 @@ class Weighted:
             trial = found.stepped()
             if trial is None:
                 break
-            done = found.score - trial.score < _NEGLIGIBLE
+            done = found.score - trial.score < TUNING.negligible
             found = trial
             if done:
                 break

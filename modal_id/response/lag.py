@@ -48,34 +48,36 @@ class Tuning:
     #: [1] largest lag over the span of the record
     #: physics: Outputs at whose times the input is not known do not count.
     most_share: float = 0.1
+    #: [rounds] searches of `first_modes` modes, each at the lag that the one before gave
+    #: measurement: After one, what an error of a tenth of a sample left was taken for a mode of damping ratio 0.5.
+    first_rounds: int = 2
+    #: [rounds] most searches of all modes, each at the lag that the one before gave
+    lag_rounds: int = 4
     #: [modes] most modes of the first search
     #: measurement: What a wrong lag leaves is taken for further modes: 8 of them take 30 s of CPU.
     first_modes: int = 2
     #: [1] loss of log likelihood at which a lag is improbable
     #: statistics: Probability 5e-5; a normal posterior ends at 4.5 sd.
     improbable: float = 10.0
+    #: [1] factor between the lags that are tried for it
+    #: convention: The end is passed by at most half.
+    growth: float = 1.5
+    #: [lags] between both ends
+    #: statistics: At most a third of an sd apart for a normal posterior.
+    lags: int = 41
     #: [1] steps of the grid over which lags are not improbable, at least
     #: statistics: Nine sd of a normal posterior: the mean is then exact to 1e-3 sd.
     least_probable: int = 12
+    #: [s] length of the grid below which it is not narrowed
+    #: physics: Rounding of the times of a record of a day.
+    finest_s: float = 1e-10
+    #: [lags] number of lags whose normal equations are solved together
+    #: convention: Limits the memory.
+    together: int = 500
 
 
 TUNING = Tuning()
-
-# Searches of `first_modes` modes, each at the lag that the one before gave. After one, what an error of a tenth of a
-# sample left was taken for a mode of damping ratio 0.5.
-_FIRST_ROUNDS = 2
-# Most searches of all modes, each at the lag that the one before gave.
-_LAG_ROUNDS = 4
-# Factor between the lags that are tried for it. The end is passed by at most half.
-_GROWTH = 1.5
-# Lags between both ends, at most a third of an sd apart for a normal posterior.
-_LAGS = 41
 HIGHEST = TUNING.highest
-
-# Length of the grid of lags below which it is not narrowed: rounding of the times of a record of a day.
-_FINEST_S = 1e-10
-# Lags whose normal equations are solved together: it limits the memory.
-_TOGETHER = 500
 
 # Parameter of Kaiser's window, and half length of the filter in steps of the outputs, by his formulas.
 _BETA = float(kaiser_beta(TUNING.attenuation))
@@ -144,13 +146,13 @@ def fit_with_lag(
     channel = Channel.through(samples.time_s, samples.input)
     limit_s = TUNING.most_share * samples.span_s
     lag_s = 0.0
-    for _ in range(_FIRST_ROUNDS):
+    for _ in range(TUNING.first_rounds):
         few = min(max_modes, TUNING.first_modes)
         first = fit_response(samples.late(channel, lag_s), few, lowest_hz, input_sd)
         if first is None:
             return None
         lag_s = most_likely_lag(first, channel, limit_s)
-    for _ in range(_LAG_ROUNDS):
+    for _ in range(TUNING.lag_rounds):
         found = _with_all_modes(samples, channel, lag_s, (max_modes, lowest_hz, input_sd))
         if found is None:
             return None
@@ -228,7 +230,7 @@ def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | Refusal
     for turn in (-1.0, 1.0):
         reach_s, own = 2.0 * sd_s, least
         while own < least + TUNING.improbable and abs(before_s + turn * reach_s) < limit_s:
-            reach_s *= _GROWTH
+            reach_s *= TUNING.growth
             own = score(before_s + turn * reach_s)
             least = min(least, own)
         ends.append(before_s + turn * reach_s)
@@ -244,10 +246,10 @@ def _with_posterior(found: ResponseFit, limit_s: float) -> ResponseFit | Refusal
 def _probable(score: Callable[[float], float], low_s: float, high_s: float) -> tuple[FloatArray, FloatArray]:
     """Lags between both limits and their odds, on a grid that is narrowed until it resolves them."""
     while True:
-        lags = np.linspace(low_s, high_s, _LAGS)
+        lags = np.linspace(low_s, high_s, TUNING.lags)
         scores = np.array([score(lag_s) for lag_s in lags])
         near = np.flatnonzero(scores < np.min(scores) + TUNING.improbable)
-        if near[-1] - near[0] >= TUNING.least_probable or high_s - low_s < _FINEST_S:
+        if near[-1] - near[0] >= TUNING.least_probable or high_s - low_s < TUNING.finest_s:
             return lags, np.exp(np.min(scores) - scores)
         low_s, high_s = lags[max(near[0] - 1, 0)], lags[min(near[-1] + 1, lags.size - 1)]
 
@@ -320,7 +322,7 @@ def _scores(samples: Samples, poles: ComplexArray, shifts: NDArray[np.intp]) -> 
     of_driven, of_free = np.real(np.conj(driven.T) @ driven), np.real(np.conj(free.T) @ free)
     of_outputs = np.real(np.conj(free.T) @ outputs)
     total = np.zeros(shifts.size)
-    for chosen in row_blocks(shifts.size, _TOGETHER):
+    for chosen in row_blocks(shifts.size, TUNING.together):
         left = _left(of_driven, of_free, of_outputs, turned[shifts[chosen] % (2 * n)])
         total[chosen] = size * np.sum(np.log(left), axis=1)
     return total

@@ -39,13 +39,12 @@ class Tuning:
     #: [1] power that the input must have somewhere over its floor for the floor to be noise and not the input
     #: physics: An input below it would have no more than three times the amplitude of its noise.
     least_contrast: float = 10.0
+    #: [1] amplitudes of the noise of the input whose probability is compared with what the fit leaves
+    #: convention: A step of 2 % of the largest one.
+    amplitudes: int = 51
 
 
 TUNING = Tuning()
-
-# Amplitudes of the noise of the input whose probability is compared with what the fit leaves. A step of 2 % of the
-# largest one.
-_AMPLITUDES = 51
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ def _likely_variance(
     size = np.sum(np.abs(response) ** 2 / output, axis=1)
     along = np.abs(np.sum(np.conj(weighted) * residual, axis=1)) ** 2
     share = 0.5 * np.sum(np.abs(response) ** 2 / output * free, axis=1) / np.maximum(size, 1e-300)
-    values = most * np.linspace(0.0, 1.0, _AMPLITUDES) ** 2
+    values = most * np.linspace(0.0, 1.0, TUNING.amplitudes) ** 2
     grown = 1.0 + values[:, None] * size
     log_odds = np.sum(0.5 * values[:, None] * along / grown - share * np.log(grown), axis=1)
     odds = np.exp(log_odds - np.max(log_odds))

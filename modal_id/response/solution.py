@@ -30,19 +30,18 @@ class Tuning:
     half_window: int = 6
     #: [1] degree of the local polynomials of response and transient
     degree: int = 2
+    #: [1] draws of the fit from which bands are made
+    #: statistics: The 5 % and 95 % quantiles scatter by a seventh of the standard deviation.
+    draws: int = 200
+    #: [1] largest number of frequencies of a spectrum or response that is kept for a figure
+    #: convention: Wider than a screen; each mode has its own beside them.
+    frequencies: int = 1500
     #: [1] power of the input in a window, over its median power, below which there is no local estimate
     least_power: float = 1e-6
 
 
 TUNING = Tuning()
-
-# Draws of the fit from which bands are made. The 5 % and 95 % quantiles scatter by a seventh of the standard
-# deviation.
-_DRAWS = 200
-# Largest number of frequencies of a spectrum or response that is kept for a figure. Wider than a screen; each mode
-# has its own beside them.
-_FREQUENCIES = 1500
-MOST_FREQUENCIES = _FREQUENCIES
+MOST_FREQUENCIES = TUNING.frequencies
 
 
 @dataclass(frozen=True)
@@ -328,8 +327,8 @@ def model_bands(
     generator = np.random.default_rng(seed)
     k = found.coefficients.shape[1]
     moves = _normal(generator, found.covariance)
-    sizes = np.empty((_DRAWS, frequency_hz.size, k))
-    coefficients = np.zeros((_DRAWS, *found.coefficients.shape))
+    sizes = np.empty((TUNING.draws, frequency_hz.size, k))
+    coefficients = np.zeros((TUNING.draws, *found.coefficients.shape))
     # Coefficients of the drift do not matter, and their variance would hide that of the others by rounding.
     used = np.r_[0, 1, FIXED : len(found.coefficients)]
     for out in range(k):
@@ -352,7 +351,7 @@ def _normal(generator: np.random.Generator, covariance: FloatArray) -> FloatArra
     """Draws, shape (draws, p); directions whose variance is negative by rounding stay at 0."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(generator.standard_normal((_DRAWS, len(values))) @ root.T)
+    return np.asarray(generator.standard_normal((TUNING.draws, len(values))) @ root.T)
 
 
 def local_polynomial(samples: Samples) -> tuple[ComplexArray, FloatArray]:

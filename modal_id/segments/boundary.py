@@ -29,6 +29,8 @@ class Tuning:
     modes: int = 4
     #: [cycles] how far beyond the rough limits the change is looked for
     reach_cycles: float = 1.0
+    #: [1] largest number of times that the sides are fitted up to the change found
+    rounds: int = 4
     #: [1] error of an extrapolated motion over its amplitude
     #: convention: Damping that depends on the amplitude.
     relative_error: float = 0.05
@@ -40,9 +42,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Largest number of times that the sides are fitted up to the change found.
-_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def locate_boundary(
     if np.count_nonzero(zone) < 2:
         return None
     before, after = (None, None) if sides is None else sides
-    for round_ in range(_ROUNDS):
+    for round_ in range(TUNING.rounds):
         if (round_ == 0 and sides is None) or (found is not None and found.end_s != low):
             low = limits_s[0] if found is None else found.end_s
             start_s = max(begin_s, low - TUNING.side_cycles * cycle_s)

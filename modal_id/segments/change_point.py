@@ -19,8 +19,27 @@ from tracker import BoolArray, ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """The end of driving."""
+    """The end of driving, and the convergence of the fit on both sides of it."""
 
+    #: [1] number of minima that are refined
+    minima: int = 3
+    #: [1] relative ridge of the normal equations
+    #: physics: Above rounding.
+    ridge: float = 1e-12
+    #: [1] largest number of steps of the fit
+    max_steps: int = 40
+    #: [1] relative step of the numerical derivatives
+    difference: float = 1e-4
+    #: [1] largest number of instants in the coarse search
+    coarse_points: int = 300
+    #: [1] number of instants per cycle in the coarse search
+    points_per_cycle: float = 24.0
+    #: [samples] number of samples to which a longer record is thinned for the fits, up to a factor of two
+    #: convention: The time is found from all.
+    search_samples: int = 3000
+    #: [1] largest number of channels of the search
+    #: convention: Limits the computing time.
+    max_channels: int = 4
     #: [samples] fewest samples of a side
     least_samples: int = 8
     #: [sd] least difference of the rates before and after
@@ -33,15 +52,9 @@ class Tuning:
 TUNING = Tuning()
 
 
-# Steps of a fit from one of the best minima over the instant, and of the last one.
-FIRST_STEPS, _MAX_STEPS = 3, 40
-# Minima that are refined; instants of the coarse search per cycle, and at most.
-_MINIMA, _POINTS_PER_CYCLE, _COARSE_POINTS = 3, 24.0, 300
-# Relative ridge of the normal equations, above rounding; relative step of the numerical derivatives.
-_RIDGE, _DIFFERENCE = 1e-12, 1e-4
-# Samples to which a longer record is thinned for the fits, up to a factor of two, and channels, which limit the
-# computing time. The time of the change is found from all samples.
-_SEARCH_SAMPLES, _MAX_CHANNELS = 3000, 4
+# Steps of a fit from one of the best minima over the instant.
+FIRST_STEPS = 3
+_MAX_STEPS = TUNING.max_steps
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,7 @@ def _project(data: FitData, columns: FloatArray, values: FloatArray) -> tuple[Fl
         weighted = columns * weights[:, None]
         gram = weighted.T @ columns
         size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        gram = gram / np.outer(size, size) + _RIDGE * np.eye(p)
+        gram = gram / np.outer(size, size) + TUNING.ridge * np.eye(p)
         flat = values[:, :, channels].reshape(n, -1)
         solved = np.linalg.solve(gram, (weighted.T @ flat) / size[:, None]) / size[:, None]
         coefficients[:, :, channels] = solved.reshape(p, q, channels.size)
@@ -113,9 +126,9 @@ def _normal_equations(problem: PiecewiseProblem, at: PiecewiseFit) -> tuple[Floa
     slopes = np.empty((problem.data.time_s.size, count, problem.variance.size))
     for index in range(count):
         trial = at.nonlinear.copy()
-        trial[index] += _DIFFERENCE * problem.scale[index]
+        trial[index] += TUNING.difference * problem.scale[index]
         slopes[:, index] = (problem.model(trial) - at.columns) @ at.coefficients
-    slopes = _project(problem.data, at.columns, slopes / _DIFFERENCE)[1]
+    slopes = _project(problem.data, at.columns, slopes / TUNING.difference)[1]
     root = np.sqrt(problem.data.weights / problem.variance)
     flat = np.moveaxis(slopes * root[:, None, :], 1, 0).reshape(count, -1)
     return flat @ flat.T, flat @ (root * at.residual).ravel()
@@ -173,8 +186,8 @@ def _instants_within(problem: PiecewiseProblem, start: FloatArray, reach_s: floa
     """Instants to try within `reach_s` of the start, at most half a sample and a 24th of a cycle apart if possible."""
     low, high = _bounds(problem, start[0] - reach_s, start[0] + reach_s)
     finest = 2.0 * (high - low) / float(problem.scale[0])
-    per_cycle = _POINTS_PER_CYCLE * (high - low) * float(start[1]) / (2.0 * np.pi)
-    return np.linspace(low, high, int(min(max(9.0, min(finest, per_cycle)), _COARSE_POINTS)))
+    per_cycle = TUNING.points_per_cycle * (high - low) * float(start[1]) / (2.0 * np.pi)
+    return np.linspace(low, high, int(min(max(9.0, min(finest, per_cycle)), TUNING.coarse_points)))
 
 
 def scan(problem: PiecewiseProblem, start: FloatArray, reach_s: float, count: int) -> list[PiecewiseFit]:
@@ -190,7 +203,7 @@ def scan(problem: PiecewiseProblem, start: FloatArray, reach_s: float, count: in
 
 def search_instant(problem: PiecewiseProblem, start: FloatArray, reach_s: float) -> PiecewiseFit | None:
     """The best fit with the instant within `reach_s` of the start; None where nothing can be solved."""
-    found = [descend(problem, one, FIRST_STEPS) for one in scan(problem, start, reach_s, _MINIMA)]
+    found = [descend(problem, one, FIRST_STEPS) for one in scan(problem, start, reach_s, TUNING.minima)]
     return min(found, key=lambda one: one.chi_square, default=None)
 
 
@@ -263,7 +276,7 @@ def driven_then_free(
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
     # Ranked by signal over noise; the first marker, closest to the base, hardly moves but determines the stop best.
     power = np.sum(data.weights * data.values**2, axis=0) / variance
-    order = np.argsort(-power)[:_MAX_CHANNELS]
+    order = np.argsort(-power)[: TUNING.max_channels]
     first = np.array([0], dtype=np.intp)
     return np.unique(np.concatenate([order, first]))
 
@@ -271,7 +284,7 @@ def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]
 def _thinned(data: FitData, frequency_hz: float) -> FitData:
     n = data.time_s.size
     step = data.step_s
-    stride = max(1, min(n // _SEARCH_SAMPLES, int(1.0 / (8.0 * frequency_hz * step))))
+    stride = max(1, min(n // TUNING.search_samples, int(1.0 / (8.0 * frequency_hz * step))))
     return data.rows(slice(None, None, stride))
 
 

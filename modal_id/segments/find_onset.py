@@ -42,6 +42,11 @@ class Tuning:
     #: [1] increase of chi-square up to which another instant competes
     #: statistics: A probability of 5e-4 for one instant.
     competing: float = 12.0
+    #: [1] the same, before the instant is refined
+    competing_before_descent: float = 300.0
+    #: [1] largest number of competing instants that are followed
+    #: convention: Limits the computing time.
+    most_competing: int = 5
     #: [1] probability that noise alone shows a stop
     #: statistics: One record in a hundred.
     false_alarm: float = 0.01
@@ -50,6 +55,11 @@ class Tuning:
     misfit: float = 1.2
     #: [cycles] least length of a side
     min_cycles: float = 3.0
+    #: [samples] largest number of samples on either side
+    #: convention: More add little and cost much.
+    max_rows: int = 2000
+    #: [1] largest number of times that a side is shortened
+    max_shortenings: int = 5
     #: [cycles] sd of the middle of a real stop
     #: physics: A stop that takes a tenth of a cycle is uncertain by a tenth of that.
     stop_cycles: float = 0.01
@@ -65,11 +75,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Competing instants that are followed, and the increase of chi-square of one before it is refined.
-_MOST_COMPETING, _COMPETING_BEFORE_DESCENT = 5, 300.0
-# Samples on either side, of which more add little, and the number of times that a side is halved.
-_MAX_ROWS, _MAX_SHORTENINGS = 2000, 5
 
 
 def envelope_sd(problem: PiecewiseProblem, start: FloatArray) -> float:
@@ -91,8 +96,8 @@ def posterior_sd(problem: PiecewiseProblem, best: PiecewiseFit, inflation: float
 
     `inflation` is the factor on the noise variance for misfit and autocorrelation.
     """
-    limit = best.chi_square + _COMPETING_BEFORE_DESCENT * inflation
-    near = scan(problem, best.nonlinear, reach_s, _MOST_COMPETING)
+    limit = best.chi_square + TUNING.competing_before_descent * inflation
+    near = scan(problem, best.nonlinear, reach_s, TUNING.most_competing)
     rivals = [descend(problem, one, FIRST_STEPS) for one in near if one.chi_square < limit]
     distances: list[float] = []
     mass, square = 0.0, 0.0
@@ -168,7 +173,7 @@ def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop |
     before_s, after_s = time_s - float(data.time_s[0]), float(data.time_s[-1]) - time_s
     least = TUNING.min_cycles / drive_hz
     found: Stop | None = None
-    for _ in range(_MAX_SHORTENINGS):
+    for _ in range(TUNING.max_shortenings):
         if min(before_s, after_s) < least:
             break
         window = _rows(data, time_s - before_s, time_s + after_s, time_s)
@@ -190,7 +195,7 @@ def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop |
 def _rows(data: FitData, begin_s: float, end_s: float, stop_s: float) -> FitData:
     rows = np.flatnonzero((data.time_s >= begin_s) & (data.time_s <= end_s))
     middle = int(np.searchsorted(data.time_s[rows], stop_s))
-    rows = rows[max(middle - _MAX_ROWS, 0) : middle + _MAX_ROWS]
+    rows = rows[max(middle - TUNING.max_rows, 0) : middle + TUNING.max_rows]
     return data.rows(rows)
 
 

@@ -30,6 +30,9 @@ class Tuning:
     same_line: float = 0.2
     #: [cycles] shortest window
     least_window_cycles: float = 6.0
+    #: [1] largest number of lines in which changes of the motion are looked for
+    #: convention: Limits the computing time.
+    most_tones: int = 3
     #: [1] least distance of these lines over the dominant frequency
     #: physics: A block of two cycles fitted with both lines separates them.
     resolved: float = 0.75
@@ -38,19 +41,17 @@ class Tuning:
     cycles: float = 2.0
     #: [samples] shortest block
     least_rows: int = 8
+    #: [1] largest number of blocks
+    #: convention: The time of a division grows with its cube.
+    most_blocks: int = 128
     #: [1] share of a block's samples that must be there
     complete: float = 0.6
+    #: [1] least noise of a sample over its channel's largest value
+    #: convention: Values without noise would divide at every rounding error.
+    least_noise: float = 1e-6
 
 
 TUNING = Tuning()
-
-# Largest number of lines in which changes of the motion are looked for. Limits the computing time.
-_MOST_TONES = 3
-
-# Largest number of blocks: the time of a division grows with its cube.
-_MOST_BLOCKS = 128
-# Least noise of a sample over its channel's largest value: values without noise would divide at every rounding error.
-_LEAST_NOISE = 1e-6
 
 
 # A swing has fewer cycles than this, and less than this share of the frequency of the motion.
@@ -120,7 +121,7 @@ def find_tones(
     for one in hz:
         if all(abs(one - tone) > TUNING.resolved * hz[0] for tone in tones):
             tones = [*tones, one]
-    return Tones(tuple(tones[:_MOST_TONES]), wanted[0])
+    return Tones(tuple(tones[: TUNING.most_tones]), wanted[0])
 
 
 def _short_motion(data: FitData, variance: FloatArray, lowest_hz: float) -> list[float]:
@@ -200,7 +201,7 @@ def shortest_block_s(data: FitData, tones_hz: tuple[float, ...], least_hz: float
 def block_count(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.0) -> int:
     """Number of blocks of a record."""
     last_s = float(data.time_s[-1]) + data.step_s
-    return min(_MOST_BLOCKS, int(last_s / shortest_block_s(data, tones_hz, least_hz)))
+    return min(TUNING.most_blocks, int(last_s / shortest_block_s(data, tones_hz, least_hz)))
 
 
 def line_blocks(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.0) -> LineBlocks:
@@ -236,7 +237,7 @@ def line_blocks(data: FitData, tones_hz: tuple[float, ...], least_hz: float = 0.
             power = np.sum(filters**2 * of_unit, axis=1)
             gain[b, :, k] = np.sqrt(power[:tones] + power[tones : 2 * tones])
             square[b, k] = np.sum(window * left**2) / np.sum(window * of_unit) / freedom
-    least = _LEAST_NOISE * np.max(np.abs(data.values), axis=0)
+    least = TUNING.least_noise * np.max(np.abs(data.values), axis=0)
     variance = np.maximum(_medians(square), least**2 + 1e-300)
     known = np.isfinite(square)
     excess = np.sum(np.where(known, square / variance, 0.0), axis=1) / np.maximum(np.sum(known, axis=1), 1)

@@ -302,6 +302,9 @@ class Tuning:
     #: [cycles] least length of a motion between two changes
     #: convention: Of less, no damping can be known.
     apart_cycles: float = 1.5
+    #: [1] width of a change over that from blocks of more cycles, from which finer blocks tell no more
+    #: measurement: Widths that shrink by rounding errors alone never ended the search (*own* 13408).
+    closer: float = 0.9
     #: [blocks] longest click
     #: convention: One without duration disturbs two.
     click_blocks: int = 3
@@ -311,10 +314,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Width of a change over that from blocks of more cycles, from which finer blocks tell no more: widths that shrink by
-# rounding errors alone never ended the search (*own* 13408 of `benchmarks.records`).
-_CLOSER = 0.9
 
 
 @dataclass(frozen=True)
@@ -436,7 +435,7 @@ def _refined(
         if blocks.edges_s.size < 4:
             break
         closer = _of_two(blocks)
-        if closer.high_s - closer.low_s > _CLOSER * width_s:
+        if closer.high_s - closer.low_s > TUNING.closer * width_s:
             break
         change = closer.later(low_s)
     return change

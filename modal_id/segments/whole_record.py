@@ -20,6 +20,8 @@ class Tuning:
 
     #: [samples] shortest run of repeated samples that is a segment of its own
     least_run: int = 3
+    #: [1] largest number of such segments that are named
+    most_runs: int = 8
     #: [sd] half the range between the 1 % and 99 % quantiles from which a channel moves
     #: physics: Of white noise it is 2.3.
     moves: float = 4.0
@@ -29,9 +31,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-# Largest number of stretches of repeated samples that are named.
-_MOST_RUNS = 8
 
 
 def whole_record(
@@ -53,7 +52,7 @@ def whole_record(
     if last_row < time_s.size - 1:
         complete.append(Segment("not used", float(time_s[last_row]), float(time_s[-1])))
     long = [run for run in runs(repeated) if run[1] - run[0] >= TUNING.least_run]
-    for start, end in sorted(long, key=lambda run: run[0] - run[1])[:_MOST_RUNS]:
+    for start, end in sorted(long, key=lambda run: run[0] - run[1])[: TUNING.most_runs]:
         begin, until = float(time_s[first_row + start]), float(time_s[first_row + end - 1])
         complete.append(Segment("repeated", begin, until, Note.REPEATED_RUN(count=end - start)))
     return tuple(sorted((s for s in complete if s.end_s > s.start_s), key=lambda s: (s.start_s, s.end_s)))

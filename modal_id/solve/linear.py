@@ -25,8 +25,18 @@ from modal_id.solve.weighting import (
 )
 from tracker import ComplexArray, FloatArray
 
-# Relative ridge of the normal equations, above rounding: it keeps them solvable where a baseline spline sees no sample.
-RIDGE = 1e-13
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rounding."""
+
+    #: [1] relative ridge of the normal equations
+    #: physics: Keeps them solvable where a baseline spline sees no sample; above rounding.
+    ridge: float = 1e-13
+
+
+TUNING = Tuning()
+RIDGE = TUNING.ridge
 
 _ROUNDING = 32.0 * np.finfo(float).eps
 

@@ -23,28 +23,35 @@ from tracker import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Tuning:
-    """Convergence."""
+    """Even times, steps and convergence."""
 
+    #: [rad] error of phase up to which times count as even
+    #: physics: Far below the noise of a sample.
+    even: float = 1e-9
     #: [sd] step that is negligible in a result
     #: statistics: Far below the sd that is printed.
     step_tolerance: float = 2e-3
     #: [sd] step that is negligible where a fit is refined later
     rough_tolerance: float = 0.05
+    #: [1] largest number of iterations of a fit
+    max_iterations: int = 40
+    #: [1] largest number of times that a step is shortened
+    shortened: int = 10
+    #: [1] factor by which a step is shortened
+    shorter: float = 0.4
     #: [1] twice the gain in log likelihood of a further step, below which the fit has converged
     #: statistics: A step of a thirtieth of a standard deviation.
     converged: float = 1e-3
     #: [1] the same where rounding or a quadrature lets no step succeed
     #: statistics: A step of a fifth of a standard deviation.
     converged_to_rounding: float = 0.05
+    #: [1] condition number above which the record does not determine the parameters
+    #: physics: Rounding of 1e-16 leaves three digits.
+    max_condition: float = 1e13
 
 
 TUNING = Tuning()
-# Iterations of a fit; how often, and by which factor, one of its steps is shortened.
-MAX_ITERATIONS, _SHORTENED, _SHORTER = 40, 10, 0.4
-# Condition number above which the record does not determine the parameters: rounding of 1e-16 leaves three digits.
-MAX_CONDITION = 1e13
-# Error of phase in rad up to which times count as even, far below the noise of a sample.
-_EVEN_RAD = 1e-9
+MAX_ITERATIONS, MAX_CONDITION = TUNING.max_iterations, TUNING.max_condition
 
 # Samples of a block whose times are multiples of the step.
 _BLOCK = 512
@@ -106,7 +113,7 @@ class ModeColumns:
         for first in range(0, time_s.size, _BLOCK):
             own = time_s[first : first + _BLOCK]
             largest = max(largest, float(np.max(np.abs(own[0] + within[: own.size] - own))))
-        return largest * float(np.max(np.abs(self.poles))) <= _EVEN_RAD
+        return largest * float(np.max(np.abs(self.poles))) <= TUNING.even
 
     @cached_property
     def _blocks(self) -> tuple[ComplexArray, ComplexArray]:
@@ -194,8 +201,9 @@ def normal_equations(
     return information, gradient
 
 
-# Largest logarithm of the growth over the record: products of four such waves do not overflow.
-MOST_GROWTH = 0.25 * float(np.log(np.finfo(float).max))
+# Largest logarithm of the growth over the record: the square of such a wave does not overflow in single precision, in
+# which the noise beside a mode is averaged.
+MOST_GROWTH = 0.5 * float(np.log(np.finfo(np.float32).max))
 # Largest decay rate per sample, that of critical damping at half the sampling rate: a motion that decays faster leaves
 # one sample.
 MOST_RATE_PER_SAMPLE = np.pi
@@ -405,9 +413,9 @@ def maximum(
 
 def shortened(step: Step, trial: Callable[[Step], T | None]) -> T | None:
     """What `trial` returns for the longest of ever shorter steps that succeeds; None where none does."""
-    for _ in range(_SHORTENED):
+    for _ in range(TUNING.shortened):
         found = trial(step)
         if found is not None:
             return found
-        step = _SHORTER * step
+        step = TUNING.shorter * step
     return None

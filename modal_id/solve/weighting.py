@@ -20,8 +20,20 @@ from scipy.sparse import csc_array, csr_array
 from modal_id.data import FitData, row_blocks
 from tracker import ComplexArray, FloatArray
 
-# Largest share of samples in which the weights of groups that share products may differ: it limits the computing time.
-_MAX_DIFFERENT = 0.1
+
+@dataclass(frozen=True)
+class Tuning:
+    """Rounding, products shared."""
+
+    #: [1] eigenvalue over the largest that counts as 0
+    #: convention: As in `numpy.linalg.pinv`.
+    negligible: float = 1e-15
+    #: [1] largest share of samples in which the weights of groups that share products may differ
+    #: convention: Limits the computing time.
+    max_different: float = 0.1
+
+
+TUNING = Tuning()
 
 
 def cholesky(matrix: FloatArray) -> tuple[FloatArray, bool]:
@@ -43,7 +55,7 @@ def solve(factor: tuple[FloatArray, bool], right: FloatArray) -> FloatArray:
 
 
 def pseudo_inverse(matrix: FloatArray) -> FloatArray:
-    """Of a symmetric matrix: the bytes of ``numpy.linalg.pinv(matrix, hermitian=True)``, and its limit of 1e-15."""
+    """Of a symmetric matrix: the bytes of ``numpy.linalg.pinv(matrix, hermitian=True)``."""
     if matrix.size == 0:
         return matrix
     values, vectors = np.linalg.eigh(matrix)
@@ -51,7 +63,7 @@ def pseudo_inverse(matrix: FloatArray) -> FloatArray:
     signed = values[order]
     size, left = np.abs(signed), np.take(vectors, order, axis=1)
     inverse = np.zeros(size.shape)
-    np.divide(1.0, size, where=size > 1e-15 * size[0], out=inverse)
+    np.divide(1.0, size, where=size > TUNING.negligible * size[0], out=inverse)
     return np.asarray((left * np.copysign(1.0, signed)) @ (inverse[:, None] * left.T))
 
 
@@ -307,13 +319,15 @@ class Weighting:
 def weighting(data: FitData, splines: SparseColumns) -> Weighting:
     """Bases and groups of the data's weights, with the baseline's columns, shape (n, b)."""
     top = np.max(data.weights, axis=1)
-    usual = np.count_nonzero(top != 1.0) <= _MAX_DIFFERENT * top.size
+    usual = np.count_nonzero(top != 1.0) <= TUNING.max_different * top.size
     chosen: list[FloatArray] = [np.broadcast_to(1.0, top.shape) if usual else top]
     members: list[list[int]] = [[]]
     groups = []
     for channels, weights in data.groups:
         differs = [np.flatnonzero(weights != base) for base in chosen]
-        near = [place for place, rows in enumerate(differs) if rows.size <= _MAX_DIFFERENT * weights.size]
+        near = [
+            place for place, rows in enumerate(differs) if rows.size <= TUNING.max_different * weights.size
+        ]
         if not near:
             near = [len(chosen)]
             chosen.append(weights)

@@ -59,8 +59,8 @@ def test_a_random_record_is_not_answered_wrongly(seed):
 
 # Motion in a tenth of the record before a larger click; two plucks after a rest, over in few cycles each; a mode that
 # only one of four decays shows; one whose oscillation a hand goes on with; a change whose limits rounding errors moved
-# without end; a second decay whose mode with most energy is not the largest.
-@pytest.mark.parametrize("seed", [12495, 12524, 11332, 11841, 13408, 13893])
+# without end; a second decay whose mode with most energy is not the largest; a fit that grows without limit.
+@pytest.mark.parametrize("seed", [12495, 12524, 11332, 11841, 13408, 13893, 14915])
 def test_a_mode_that_is_plain_to_see_is_found(seed):
     record, found = answer(seed)
     assert is_answered(record, found), record
