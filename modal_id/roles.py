@@ -225,25 +225,25 @@ class _Role:
 
 def _roles(fitted: Sequence[FittedDecay]) -> list[_Role]:
     """The role of each decay: free, driven, or held by a hand."""
-    values = [_strongest_value(one) for one in fitted]
-    found = [_Role()] * len(values)
-    for k, one in enumerate(values):
+    found = [_Role()] * len(fitted)
+    for k, one in enumerate(fitted):
         if found[k].kind != "decay":
             continue
-        near = [j for j, other in enumerate(values) if _is_same(one, other) and j != k]
-        pairs = [_pair(one, fitted[k], values[j]) for j in near]
-        likeliest = [pair.likeliest for pair in pairs]
+        values = {j: both for j, other in enumerate(fitted) if j != k and (both := _shared_mode(one, other))}
+        pairs = {j: _pair(own, one, later) for j, (own, later) in values.items()}
+        likeliest = [pair.likeliest for pair in pairs.values()]
         # one that decays as another does is neither
         if "driven" in likeliest and "free" not in likeliest:
-            pair = max(pairs, key=lambda pair: pair.driven)
+            pair = max(pairs.values(), key=lambda pair: pair.driven)
             found[k] = _Role("driven", pair.driven / (pair.driven + pair.held))
             continue
-        for j, pair in zip(near, pairs, strict=True):
-            if values[j].start_s >= one.start_s:
+        for j, pair in pairs.items():
+            own, later = values[j]
+            if later.start_s >= own.start_s:
                 found[j] = replace(found[j], held=max(found[j].held or 0.0, pair.held))
             if pair.likeliest == "held":
                 found[j] = _Role("disturbed")
-                error = float(np.sqrt(pair.driven)) * abs(values[j].damping_ratio - one.damping_ratio)
+                error = float(np.sqrt(pair.driven)) * abs(later.damping_ratio - own.damping_ratio)
                 found[k] = replace(found[k], doubt=max(found[k].doubt, error))
     return found
 
@@ -259,8 +259,16 @@ def _pair(one: DecayValue, decay: FittedDecay, other: DecayValue) -> Roles:
     return _roles_of(one, decay, after=(other.damping_ratio, other.damping_ratio_sd))
 
 
-def _is_same(one: DecayValue, other: DecayValue) -> bool:
-    return abs(one.damped_hz - other.damped_hz) < SAME_MOTION * other.damped_hz
+def _shared_mode(one: FittedDecay, other: FittedDecay) -> tuple[DecayValue, DecayValue] | None:
+    """Values in both decays of the mode with most energy in the first, or else in the other; None without one."""
+    hz, other_hz = (decay.model.fit.poles.imag / (2.0 * np.pi) for decay in (one, other))
+    same = np.abs(hz[:, None] / other_hz - 1.0)
+    index = one.model.strongest
+    nearest = int(np.argmin(same[index]))
+    if same[index, nearest] >= SAME_MOTION:
+        nearest = other.model.strongest
+        index = int(np.argmin(same[:, nearest]))
+    return (_value(one, index), _value(other, nearest)) if same[index, nearest] < SAME_MOTION else None
 
 
 def _in_role(segment: Segment, decays: Sequence[FittedDecay], roles: Sequence[_Role]) -> Segment:
@@ -272,9 +280,9 @@ def _in_role(segment: Segment, decays: Sequence[FittedDecay], roles: Sequence[_R
     return segment
 
 
-def _strongest_value(one: FittedDecay) -> DecayValue:
-    """Values of the strongest mode of a decay, without the part of their sd that only sampling shows."""
-    fit, index = one.model.fit, one.model.strongest
+def _value(one: FittedDecay, index: int) -> DecayValue:
+    """Values of a mode of a decay, without the part of their sd that only sampling shows."""
+    fit = one.model.fit
     pole = complex(fit.poles[index])
     sd = fit.pole_sd[index] * noise_level(one.model, None, index).factor / abs(pole)
     hz = float(frequency_hz(pole))
