@@ -84,12 +84,13 @@ def assemble(
     numbering = replace(numbering, numbers=numbers)
     rate_hz = 2.0 * nyquist_hz(complete.time_s)
     choice = choose_target_of(rejected, frequency_hz(poles), shapes, strength, numbers, settings, rate_hz)
-    choice = _strongest_success(choice, sampled, strength)
+    tones = combination_tones(sampled, linear.amplitudes, rate_hz)
+    good = [isinstance(one, SampledMode) and tone is None for one, tone in zip(sampled, tones, strict=True)]
+    choice = _strongest_success(choice, np.array(good), strength)
     numbering = _number_the_target(numbering, choice, settings)
     outliers = outlier_share(everything.given.weights, complete.values - everything.motion)
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
-    tones = combination_tones(sampled, linear.amplitudes, rate_hz)
     clock = _conversion(series, model, outliers)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
@@ -326,11 +327,8 @@ def _strength(model: ModalFit) -> FloatArray:
     return np.asarray(np.sqrt(power * duration))
 
 
-def _strongest_success(
-    choice: TargetChoice, sampled: list[SampledMode | FailedMode], strength: FloatArray
-) -> TargetChoice:
-    """Without a requested target, the strongest motion that was identified as a mode; it may be a hum or a drift."""
-    good = np.array([isinstance(outcome, SampledMode) for outcome in sampled])
+def _strongest_success(choice: TargetChoice, good: BoolArray, strength: FloatArray) -> TargetChoice:
+    """Without a requested target, the strongest mode that is no combination tone; it may be a hum or a drift."""
     if choice.requested or choice.index is None or good[choice.index] or not np.any(good):
         return choice
     return replace(choice, index=int(np.argmax(np.where(good, strength, -1.0))))

@@ -54,7 +54,8 @@ def modes_of_decays(
 ) -> Identification:
     """Modes of the most informative decay, averaged with the same ones of others, and those that only others show.
 
-    Where the target is rather driven, the strongest free mode is the target instead; without one, all is driven.
+    Where the target is rather driven, the strongest mode that is free beyond doubt takes its place; without one, all
+    is driven.
     """
     roles = _roles(decays)
     of_onset = {one.onset.time_s: role for one, role in zip(decays, roles, strict=True)}
@@ -72,7 +73,7 @@ def modes_of_decays(
     driven = max((p for p, mode in zip(probabilities, found.modes, strict=True) if mode.target), default=0.0)
     segments = _with_probability(segments, main, driven)
     if is_rather_driven(driven):
-        free = [m for m in found.modes if not is_rather_driven(_drive_probability(m, main, beside=False))]
+        free = [m for m in found.modes if not may_be_driven(_drive_probability(m, main, beside=False))]
         if settings.target_hz is not None or not free:
             return _driven(series, settings, used, main, segments)
         # The target was the strongest motion, a drift or a hum.

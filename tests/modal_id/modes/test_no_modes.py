@@ -57,6 +57,15 @@ def test_a_weak_mode_beside_a_multiple_is_a_mode():
     assert _listed(found) == [F_HZ, round(6.27 * F_HZ, 1)]
 
 
+def test_a_harmonic_that_exceeds_noise_by_more_is_not_the_target():
+    """A pendulum: y is the square of x, at twice the frequency, in a channel with a hundredth of the noise."""
+    x, rng = decay(TIME_S, F_HZ, ZETA, 10.0), np.random.default_rng(1)
+    noise = rng.standard_normal((TIME_S.size, 2)) * [0.3, 0.003]
+    found = identify(series_of(TIME_S, np.column_stack([x, 0.02 * x**2]) + noise))
+    assert (_listed(found), found.modes[0].target) == ([F_HZ], True)
+    assert "not a mode of its own" in found.failed[0].reason
+
+
 def test_a_mode_that_theory_expects_at_a_multiple_is_listed_with_a_flag():
     x = decay(TIME_S, F_HZ, ZETA, 10.0)
     settings = IdentifySettings(expected_frequencies_hz=(11.0, 22.9))
