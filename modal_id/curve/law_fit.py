@@ -34,10 +34,6 @@ TUNING = Tuning()
 _POINTS = 800
 
 
-# Samples at a time.
-_BLOCK = 65_536
-
-
 @dataclass(frozen=True)
 class LawDecay:
     """``a(t) exp(i phase(t))`` that follows a law: ``wave``, shape (n,), its derivatives ``slopes``, shape (n, p)."""
@@ -98,7 +94,7 @@ class _Path:
     def wave(self, time_s: FloatArray) -> ComplexArray:
         excess = _integral(self.u, self.excess_rad_s / self.rates.decay)
         found = np.empty(time_s.size, dtype=complex)
-        for rows in row_blocks(time_s.size, _BLOCK):
+        for rows in row_blocks(time_s.size):
             t = time_s[rows]
             phase = np.interp(t, self.time_s, excess) + float(self.rates.angular[-1]) * t
             found[rows] = np.exp(np.interp(t, self.time_s, self.u) + 1j * phase)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id.curve.law_fit import LawFit, fit_law, wave_of_law
 from modal_id.curve.laws import Law, SplineLaw
-from modal_id.data import MIN_SAMPLES, FitData
+from modal_id.data import AT_ONCE, MIN_SAMPLES, FitData
 from modal_id.fit import LEAST_SAMPLES, ModalFit
 from modal_id.solve import MAX_CONDITION, Problem, frequency_hz, own_problem
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -43,10 +43,6 @@ class Tuning:
 
 TUNING = Tuning()
 LEAST_CYCLES = TUNING.least_cycles
-
-
-# Samples whose columns are held at a time.
-_SAMPLES = 65_536
 
 
 @dataclass(frozen=True)
@@ -86,7 +82,7 @@ def split_into_blocks(
     cycles = max(LEAST_CYCLES, np.ceil(data.span_s * frequency_hz / TUNING.max_blocks))
     number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
-    at_once = max(1, _SAMPLES * (edges.size - 1) // number.size)
+    at_once = max(1, AT_ONCE * (edges.size - 1) // number.size)
     parts = []
     for first in range(0, edges.size - 1, at_once):
         own = edges[first : first + at_once + 1]

@@ -15,6 +15,7 @@ from .prepare import repeated_rows as repeated_rows
 from .prepare import sampled_rows as sampled_rows
 from .prepare import with_base as with_base
 from .projection import project as project
+from .samples import AT_ONCE as AT_ONCE
 from .samples import BEYOND_SD as BEYOND_SD
 from .samples import MIN_SAMPLES as MIN_SAMPLES
 from .samples import OUTLIER_SD as OUTLIER_SD

@@ -18,6 +18,8 @@ from tracker import MAD_TO_SD, BoolArray, FloatArray, robust_sd
 
 # A record, a channel or a part of either with fewer samples tells nothing.
 MIN_SAMPLES = 12
+# Samples at a time, where each needs several values: a few megabytes.
+AT_ONCE = 65_536
 
 
 @dataclass(frozen=True)
@@ -236,7 +238,7 @@ def neighbour_sums(n: int, factor: int) -> tuple[csr_array, NDArray[np.intp]]:
     return sums, np.diff(starts)
 
 
-def row_blocks(count: int, size: int) -> Iterator[slice]:
+def row_blocks(count: int, size: int = AT_ONCE) -> Iterator[slice]:
     """Slices of `size` rows, the last perhaps of fewer, that cover `count` rows."""
     yield from (slice(first, min(first + size, count)) for first in range(0, count, size))
 

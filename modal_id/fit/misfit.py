@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data import row_blocks
+from modal_id.data import AT_ONCE, row_blocks
 from modal_id.fit.modal_fit import ModalFit
 from modal_id.fit.position_errors import Omissions
 from modal_id.solve import LinearSolution, ModeColumns, frequency_hz, solve_linear
@@ -31,10 +31,6 @@ class Tuning:
 
 
 TUNING = Tuning()
-
-
-# Samples at a time.
-_BLOCK = 65536
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None
     # Coloured noise has more power at the modes than white noise.
     coloured = max(1.0, *(model.spectrum.level_aside(hz) for hz in strongest_hz.tolist()))
     excess, moved = np.zeros(count), np.zeros(count)
-    for block in row_blocks(count, max(1, _BLOCK // length)):
+    for block in row_blocks(count, max(1, AT_ONCE // length)):
         rows = slice(block.start * length, block.stop * length)
         waves = np.exp(2j * np.pi * time_s[block, :, None] * strongest_hz)
         baseline = linear.splines[rows] @ linear.slow

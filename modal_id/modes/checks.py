@@ -157,9 +157,8 @@ def _periodogram(time_s: FloatArray, columns: FloatArray) -> tuple[FloatArray, F
     return np.asarray(power), np.asarray(np.fft.rfftfreq(grid.shape[0], step)[1:])
 
 
-# Columns of `_products`, and samples of which they are held at a time.
+# Columns of `_products`.
 _WAVES, _SLOPES, _LINE, _OWN = slice(0, 2), slice(2, 4), slice(4, 6), 6
-_BLOCK = 65_536
 
 
 class LineEffect(NamedTuple):
@@ -214,7 +213,7 @@ def _products(
 ) -> FloatArray:
     """Inner products of the columns of one channel: its waves, slopes and vibration, then `own`; shape (7, 7)."""
     total = np.zeros((_OWN + 1, _OWN + 1))
-    for rows in row_blocks(time_s.size, _BLOCK):
+    for rows in row_blocks(time_s.size):
         t = time_s[rows]
         phase = 2.0 * np.pi * line_hz * t
         waves, slopes = _waves(mode, t), _slopes(mode, t, channel)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.sparse import csr_array
 
-from modal_id.data import FitData, row_blocks
+from modal_id.data import AT_ONCE, FitData, row_blocks
 from modal_id.fit import AmplitudeFit, ModalFit, nonlinear_decay, nyquist_hz, own_decay
 from modal_id.solve import (
     Beside,
@@ -68,8 +68,6 @@ TUNING = Tuning()
 _SPLINES = 16
 # Values of the rotations of the blocks that are held at a time.
 _ROTATIONS = 4_000_000
-# Samples at a time.
-_SAMPLES = 65_536
 
 
 class BandTransform:
@@ -111,7 +109,7 @@ class BandTransform:
     def _parts(self) -> Iterator[slice]:
         """The blocks, some at a time: their rotations and the waves of their samples take memory."""
         count = self._mean_s.size
-        at_once = max(1, min(_ROTATIONS // self.size, _SAMPLES * count // self._time_s.size))
+        at_once = max(1, min(_ROTATIONS // self.size, AT_ONCE * count // self._time_s.size))
         return row_blocks(count, at_once)
 
     def _samples(self, blocks: slice) -> tuple[slice, NDArray[np.int32]]:
