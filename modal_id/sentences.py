@@ -281,6 +281,11 @@ class ModeFlag(Enum):
         "exceeds 5 %. The damping ratio then means nothing. Record until the motion has decayed, or give onset_s where "
         "it is known to be free."
     )
+    DECAYS_DIFFER = (
+        "The damping ratios of the decays differ by more than those of one structure usually do: a hand may hold one, or "
+        "a drive may go on. The value is their mean, which may be that of none. Compare the decays that the report "
+        "lists, and give onset_s and end_s of one."
+    )
     MAY_BE_HELD = (
         "The mode follows a motion that may be free, or a drive whose end was not recognised: a hand that stops the "
         "motion looks like strong damping. The interval of the damping ratio includes that doubt. The values are those "
@@ -383,6 +388,7 @@ def alias_note(rate_hz: float, hz: float, count: int = 1) -> str:
 _USUAL = {
     ModeFlag.DRIVEN: Severity.WRONG,
     ModeFlag.MAY_BE_DRIVEN: Severity.WRONG,
+    ModeFlag.DECAYS_DIFFER: Severity.WRONG,
     ModeFlag.MAY_BE_HELD: Severity.WRONG,
     ModeFlag.ALIASED_POSSIBLE: Severity.WRONG,
     ModeFlag.UNRESOLVED: Severity.WRONG,
