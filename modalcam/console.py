@@ -289,13 +289,15 @@ def _contradictions(recording: dict[str, Any]) -> list[str]:
     """What contradicts the recorded rate, or else what each mode's shape and the times of its frames contradict."""
     if recording["fitting_rate"]:
         return [str(FittingRate(**recording["fitting_rate"]))]
-    notes = (
-        f"{'a mode' if mode['mode'] is None else 'mode ' + str(mode['mode'])}: {note}"
-        for mode in recording["modes"]
-        for flag in QUOTED
-        if (note := quoted_note(flag, mode["notes"]))
-    )
-    return list(dict.fromkeys(notes))
+    named: dict[str, list[str]] = {}
+    for mode in recording["modes"]:
+        own = str(mode["mode"])
+        if mode["mode"] is None:
+            known = not _rate_is_guessed(recording)
+            own = f"at {mode['frequency_hz']:.4g} Hz" if known else "of unknown frequency"
+        for note in filter(None, (quoted_note(flag, mode["notes"]) for flag in QUOTED)):
+            named.setdefault(note, []).append(f"mode {own}")
+    return [f"{', '.join(modes)}: {note}" for note, modes in named.items()]
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:
