@@ -46,9 +46,10 @@ Each threshold of an algorithm stands in a `Tuning` dataclass of its module with
 (a derivation), *statistics* (an error rate), *measurement* (a benchmark or test), or *convention* (a choice). This
 page is made from them by `python -m benchmarks.tuning --page docs/tuning.md`.
 
-The last two columns hold what 0.7 and 1.4 times the value change in the fastest seven parts, of those that read it, of
+The last two columns hold what 0.7 and 1.4 times the value change in the fastest parts, of those that read it, of
 a battery of records, films, simulations, updates and comparisons (`benchmarks/tuning_battery.py`;
-`python -m benchmarks.tuning_measured` adds what is missing): the largest change of a frequency (f) and of a damping
+`python -m benchmarks.tuning_measured` adds what is missing), 24 for `modal_id.segments`, `fit_decays`, `modes.decays`
+and `fit.spread`, seven for the others: the largest change of a frequency (f) and of a damping
 ratio (ζ) in their standard deviations, of positions in px (rms), frames more or fewer, and parts that fail. *None* is
 the same to the last bit; *digits* changes nothing by a thousandth of its standard deviation. Counts change by one at
 least. The battery is too short to judge a threshold that rare recordings need.

@@ -43,7 +43,7 @@ from benchmarks.tuning_battery import PARTS, Difference, Found, affected, differ
 
 _LONGEST_S = 900.0
 # parts, the fastest first, on which a threshold is tried
-_MOST = 7
+_MOST = 24
 
 
 def measure(out: Path, chosen: str) -> None:

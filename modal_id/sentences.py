@@ -299,7 +299,7 @@ class ModeFlag(Enum):
     AMPLITUDE_DEPENDENT = (
         "Damping or frequency depends on the amplitude: the constant values are averages over this record, and their "
         "standard deviations include the distances to the values at small amplitude and at the start. Use the values "
-        "at small amplitude, or the curve."
+        "at small amplitude, or the curve; those at the start if a hand may have damped the end."
     )
     CLOSE_MODE = "Another mode within 10 % of this frequency is also excited."
     CHAIN_TOO_SHORT = (
