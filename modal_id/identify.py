@@ -199,7 +199,7 @@ def _identified(
         return after or with_rate_error(found)
     without = Reason.SHORT_PIECES() if parts.decays else parts.why
     why = Refusal.joined(fits.reasons or (without,))
-    shown = Note.RECORD_SHOWS(segments="; ".join(map(str, segments))) if segments else ""
+    shown = Note.RECORD_SHOWS(segments="; ".join(map(str, segments))) if len(segments) > 1 else ""
     return replace(why, reason=f"{why.reason}. {shown}", where=series.name)
 
 
