@@ -24,7 +24,6 @@ from modal_id.posterior import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.results import DecayValue, Identification, IdentifiedMode
 from modal_id.segments import (
-    BETWEEN_SD,
     HAND,
     HELD_LEAST,
     LOUDER,
@@ -90,7 +89,7 @@ def modes_of_decays(
     role = of_onset[main.onset.time_s]
     doubt = role.doubt if may_be_driven(driven) else 0.0
     known = (_with_error(mode, "driven", doubt) if mode.target else mode for mode in flagged)
-    modes = tuple(_compared(mode) for mode in maybe_held(known, segments, main.onset, role.held))
+    modes = tuple(maybe_held(known, segments, main.onset, role.held))
     found = replace(found, modes=modes, segments=segments)
     for k in order:
         if k != position and shows_more(decays[k], found):
@@ -186,12 +185,6 @@ def _with_error(mode: IdentifiedMode, cause: str, sd: float) -> IdentifiedMode:
         return mode
     errors = {**mode.posterior.errors, cause: (0.0, sd)}
     return replace(mode, posterior=mode.posterior.including(errors=errors))
-
-
-def _compared(mode: IdentifiedMode) -> IdentifiedMode:
-    """A mode, flagged where the scatter of its decays exceeds that of free decays of one structure."""
-    apart = mode.posterior.errors.get("decays", (0.0, 0.0))[1]
-    return mode.with_flags([ModeFlag.DECAYS_DIFFER]) if apart > BETWEEN_SD * mode.damping_ratio else mode
 
 
 def _doubted(mode: IdentifiedMode) -> IdentifiedMode:

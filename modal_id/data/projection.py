@@ -257,10 +257,8 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
     covariance = np.broadcast_to(np.eye(r), (n, r, r)).copy()
     for rows in np.array_split(np.flatnonzero(np.any(weights != 1.0, axis=1)), max(1, n // 256)):
         own = weights[rows]
-        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis + TUNING.least_seen * np.eye(
-            r
-        )
-        covariance[rows] = np.linalg.inv(information)
+        information = (basis[None] * own[:, :, None]).transpose(0, 2, 1) @ basis
+        covariance[rows] = np.linalg.inv(information + TUNING.least_seen * np.eye(r))
         values[rows] = np.einsum("nqp,np->nq", covariance[rows], (own * whitened[rows]) @ basis)
     return values, covariance
 

@@ -15,6 +15,7 @@ from modal_id.modes.combine import combine
 from modal_id.posterior import determine_mode, noise_level
 from modal_id.record import Onset
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode
+from modal_id.segments import BETWEEN_SD
 from modal_id.sentences import ModeFlag, Note
 from modal_id.solve import damping_ratio, frequency_hz
 from tracker import BoolArray, ComplexArray, FloatArray
@@ -107,7 +108,7 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
 
     The combination is a random-effects mean, so that the scatter between decays (a clamp that settles, amplitudes that
     differ) is part of the standard deviations. Shapes, amplitudes, flags and the dependence on amplitude remain those
-    of the main decay.
+    of the main decay; `DECAYS_DIFFER` is added where damping ratios scatter by more than those of one structure.
     """
     if len(fitted) < 2:
         return found
@@ -207,4 +208,5 @@ def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedM
         mean=((frequency.value, max(frequency.sd, least_hz)), (zeta.value, max(zeta.sd, least))),
     )
     ordered = tuple(sorted(values, key=lambda v: v.start_s))
-    return replace(mode, posterior=posterior, decays=ordered)
+    differ = zeta.between_sd > BETWEEN_SD * zeta.value
+    return replace(mode, posterior=posterior, decays=ordered).with_flags([ModeFlag.DECAYS_DIFFER] * differ)

@@ -28,7 +28,7 @@ class Tuning:
     """Waves that have decayed."""
 
     #: [decay times] blocks that begin later are not added to the moments of a wave
-    #: physics: It has fallen by exp(-30).
+    #: physics: The wave is then exp(-30) of its start.
     decay_times: float = 30.0
 
 

@@ -41,7 +41,7 @@ class Tuning:
     #: physics: Its diagonal times the time in which the slowest wave becomes negligible is then 2.5.
     side: float = 0.25
     #: [1] number of terms within a tile
-    #: physics: They leave the same remainder.
+    #: physics: The first neglected term is then below `remainder`, too.
     tile_terms: int = 20
     #: [1] largest number of samples in all tiles together
     #: convention: Limits the memory.

@@ -66,11 +66,11 @@ class Tuning:
     #: [1] largest response to the noise of the input, over the noise of the outputs (variances), that is neglected
     #: statistics: The bias of a pole is then a thirtieth of its standard deviation at most.
     negligible_noise: float = 1e-3
-    #: [1] the same as `rounds`, while modes are still being added
-    search_rounds: int = 2
     #: [1] rounds of noise spectrum, noise in the input and steps of the poles
     #: measurement: benchmarks/known_input.py; the fourth round changes zeta by less than a tenth of its sd.
     rounds: int = 4
+    #: [1] the same while modes are still being added
+    search_rounds: int = 2
 
 
 TUNING = Tuning()
